@@ -65,22 +65,22 @@ class Frame(str, Enum):
 
 @dataclass(frozen=True)
 class Georeference:
-    """Where a frame lies on the Earth."""
+    """Where a frame lies on the Earth, or on its site where that is in no known place on it."""
 
-    crs: str
-    """The coordinate reference system of the world frame, such as `EPSG:28356`; or its well-known text."""
+    crs: str | None
+    """The coordinate reference system of the world frame, such as `EPSG:28356`; or its well-known text; nothing where none is stated."""
     wall_from_world: Mapping[str, Any] | None = None
     """How the wall frame lies in the world frame: `rotation`, `origin` and `translation`; nothing for the world frame itself."""
 
     @staticmethod
     def of(written: Any) -> Georeference | None:
         """What the JSON of a frame, or of a georeference, says; a name alone says nothing."""
-        return Georeference(written["crs"], written.get("wall_from_world")) if isinstance(written, dict) else None
+        return Georeference(written.get("crs"), written.get("wall_from_world")) if isinstance(written, dict) else None
 
     def as_dict(self) -> dict[str, Any]:
         """Its JSON."""
         way = {} if self.wall_from_world is None else {"wall_from_world": dict(self.wall_from_world)}
-        return {"crs": self.crs, **way}
+        return {**({} if self.crs is None else {"crs": self.crs}), **way}
 
 
 class Placed:
@@ -100,9 +100,9 @@ class Placed:
 
     def _where(self) -> str:
         """The frame, and what it lies in, for people."""
-        if self.georeference is None:
+        crs = self.georeference.crs if self.georeference else None
+        if crs is None:
             return f"{self.frame} frame"
-        crs = self.georeference.crs
         shown = crs if len(crs) <= 40 else crs[:40] + "…"
         return f"{self.frame} frame, {shown}" if self.frame is Frame.WORLD else f"{self.frame} frame of {shown}"
 

@@ -94,15 +94,20 @@ def doubled(dem: rockface.Raster, mesh: rockface.Mesh, cloud: rockface.Cloud) ->
 """
 
 
+def write_shifted(mesh, shift, path):
+    """Writes a mesh as a PLY file of another program, its vertices shifted."""
+    rows = "".join("{:.3f} {:.3f} {:.3f}\n".format(*row) for row in np.add(mesh.vertices, shift))
+    faces = "".join("3 {} {} {}\n".format(*row) for row in mesh.triangles)
+    header = f"element vertex {len(mesh.vertices)}\n" + "".join(f"property double {axis}\n" for axis in "xyz")
+    header += f"element face {len(mesh.triangles)}\nproperty list uchar int vertex_indices\nend_header\n"
+    Path(path).write_text("ply\nformat ascii 1.0\n" + header + rows + faces)
+
+
 def test_coordinate_reference_systems_are_read_shown_and_carried(folder, parted):
     mesh = parted["face.mesh[epoch=pre]"]
     assert mesh.crs is None
     assert mesh.georeference is None
-    rows = "".join("{:.3f} {:.3f} {:.3f}\n".format(*row) for row in np.add(mesh.vertices, [300000, 6000000, 100]))
-    faces = "".join("3 {} {} {}\n".format(*row) for row in mesh.triangles)
-    header = f"element vertex {len(mesh.vertices)}\n" + "".join(f"property double {axis}\n" for axis in "xyz")
-    header += f"element face {len(mesh.triangles)}\nproperty list uchar int vertex_indices\nend_header\n"
-    Path("face.ply").write_text("ply\nformat ascii 1.0\n" + header + rows + faces)
+    write_shifted(mesh, [300000, 6000000, 100], "face.ply")
     Path("world.yaml").write_text(WORLD)
     Path("own.py").write_text(OWN)
     run = rockface.run("world.yaml", progress=False)
@@ -118,3 +123,45 @@ def test_coordinate_reference_systems_are_read_shown_and_carried(folder, parted)
     xarray = pytest.importorskip("xarray")
     assert isinstance(run["dem.raster"].to_xarray(), xarray.DataArray)
     assert run["dem.raster"].to_xarray().attrs["crs"] == "EPSG:28356"
+
+
+SITE = """
+rockface: 1
+name: site
+steps:
+  face: {stage: import-mesh, with: {path: site.ply, frame: world}}
+  wall: {stage: transform-crs, in: {mesh: face.mesh}}
+  flat: {stage: rasterise-dem, in: {surface: wall.mesh}, with: {cell_m: 0.2, method: tin}}
+  own: {stage: python, with: {module: same.py, function: same}, in: {dem: flat.raster, mesh: wall.mesh}}
+"""
+
+SAME = """
+from typing import NamedTuple
+
+import rockface
+
+
+class Out(NamedTuple):
+    dem: rockface.Raster
+    mesh: rockface.Mesh
+
+
+@rockface.stage
+def same(dem: rockface.Raster, mesh: rockface.Mesh) -> Out:
+    return Out(dem.like(dem.values), mesh)
+"""
+
+
+def test_a_wall_frame_without_a_system_has_its_way_to_the_world(folder, parted):
+    mesh = parted["face.mesh[epoch=pre]"]
+    write_shifted(mesh, [30, 60, 10], "site.ply")
+    Path("site.yaml").write_text(SITE)
+    Path("same.py").write_text(SAME)
+    run = rockface.run("site.yaml", progress=False)
+    assert run["face.mesh"].georeference is None
+    place = run["flat.raster"].georeference
+    assert place.crs is None
+    assert set(place.wall_from_world) >= {"rotation", "origin", "translation"}
+    assert repr(run["flat.raster"]).count("wall frame") == 1
+    for output in ("wall.mesh", "own.dem", "own.mesh"):
+        assert run[output].georeference == place, output

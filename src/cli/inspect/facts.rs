@@ -90,7 +90,7 @@ pub fn of_artefact(artefact: &Artefact) -> Facts {
         facts.push(("columns".into(), inventory.columns.len().into()));
     }
     if let Some(georeference) = artefact.frame().and_then(Frame::georeference) {
-        facts.push(("crs of the world".into(), json!(georeference.crs)));
+        facts.extend(georeference.crs.as_ref().map(|crs| ("crs of the world".into(), json!(crs))));
         facts.extend(georeference.wall_from_world.as_ref().map(|way| ("to the map (PROJ)".into(), to_map(way).into())));
     }
     if let Some(items) = artefact.items() {

@@ -42,7 +42,7 @@ impl Stated {
             Artefact::Transform(transform) => (transform.crs.as_ref(), None),
             other => {
                 let georeference = other.frame().and_then(Frame::georeference);
-                (georeference.map(|g| &g.crs), georeference.and_then(|g| g.wall_from_world.as_ref()))
+                (georeference.and_then(|g| g.crs.as_ref()), georeference.and_then(|g| g.wall_from_world.as_ref()))
             }
         };
         let mut state = self.state();
@@ -67,15 +67,12 @@ impl Stated {
     /// Gives what was stated to all outputs that do not say it themselves.
     pub fn carry(&self, outputs: &mut Outputs, context: &Context) {
         let state = self.state();
-        let Some((_, crs)) =
-            state.crs.clone().or_else(|| outputs.values().find_map(|made| Some((String::new(), crs_of(made)?))))
-        else {
-            return;
-        };
+        let crs = state.crs.as_ref().map(|(_, crs)| crs.clone()).or_else(|| outputs.values().find_map(crs_of));
         if let Some([one, other]) = &state.other_wall {
+            let of = crs.as_ref().map_or_else(String::new, |crs| format!(" of {crs}"));
             context.warn(format!(
-                "`{one}` and `{other}` are in two wall frames of {crs}: the outputs do not say how theirs lies in it; give \
-                 both epochs one `transform`"
+                "`{one}` and `{other}` are in two wall frames{of}, so the same place has other coordinates in each; the outputs do not say how \
+                 theirs lies in the world: give both epochs one `transform`"
             ));
         }
         let made =
@@ -119,28 +116,65 @@ impl State {
 }
 
 fn crs_of(artefact: &Artefact) -> Option<Crs> {
-    artefact.frame().and_then(Frame::georeference).map(|georeference| georeference.crs.clone())
+    artefact.frame().and_then(Frame::georeference).and_then(|georeference| georeference.crs.clone())
 }
 
 fn place(artefact: &mut Artefact, georeference: &Georeference) {
     if let Artefact::Transform(transform) = artefact {
         let world = Frame::World.name();
         if transform.crs.is_none() && (transform.from == world || transform.to == world) {
-            transform.crs = Some(georeference.crs.clone());
+            transform.crs.clone_from(&georeference.crs);
         }
         return;
     }
     let Some(frame) = artefact.frame_mut() else { return };
-    let own = frame.georeference().map(|own| own.crs.clone());
-    let has_way = *frame == Frame::World || frame.georeference().is_some_and(|own| own.wall_from_world.is_some());
-    if own.is_none() || !has_way {
-        let crs = own.unwrap_or_else(|| georeference.crs.clone());
-        *frame = frame.at(Some(Georeference { crs, ..georeference.clone() }));
-    }
+    let own = frame.georeference();
+    let crs = own.and_then(|own| own.crs.as_ref()).or(georeference.crs.as_ref()).cloned();
+    let way = own.and_then(|own| own.wall_from_world.as_ref()).or(georeference.wall_from_world.as_ref());
+    *frame = frame.at(Some(Georeference { crs, wall_from_world: way.cloned() }));
 }
 
 /// Whether all that these ports hold is looked at and not measured: it may show several places.
 pub fn only_shows(outputs: &[Port]) -> bool {
     let shows = |port: &Port| port.kinds.iter().all(|kind| matches!(kind, Kind::Picture | Kind::Figure));
     !outputs.is_empty() && outputs.iter().all(shows)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::artefact::{Grid, Raster};
+    use crate::testing::TestHost;
+
+    fn raster(frame: Frame) -> Artefact {
+        let grid = Grid { columns: 1, rows: 1, cell_m: 1.0, left_m: 0.0, top_m: 1.0 };
+        Raster::single(grid, frame, "elevation", "z", vec![1.0]).into()
+    }
+
+    fn wall(shift_m: f64) -> Frame {
+        let wall_from_world = Some(Transform { origin: [shift_m, 0.0, 0.0], ..Transform::identity("world", "wall") });
+        Frame::Wall.at(Some(Georeference { crs: None, wall_from_world }))
+    }
+
+    /// The frame of what is made of two inputs, and the warnings.
+    fn made(one: Frame, other: Frame) -> (Frame, Vec<String>) {
+        let (stated, host) = (Stated::default(), TestHost::default());
+        stated.note("reference", &raster(one)).unwrap();
+        stated.note("comparison", &raster(other)).unwrap();
+        let mut outputs = Outputs::of("raster", raster(Frame::Wall));
+        stated.carry(&mut outputs, &Context::new(&host));
+        let frame = outputs.values().next().and_then(Artefact::frame).unwrap();
+        (frame, host.warnings())
+    }
+
+    #[test]
+    fn the_way_of_a_wall_without_a_system_is_carried_and_compared() {
+        let (frame, warnings) = made(wall(0.0), wall(0.0));
+        assert_eq!((frame.georeference(), warnings.len()), (wall(0.0).georeference(), 0));
+        let (frame, warnings) = made(wall(0.0), Frame::Wall);
+        assert_eq!((frame.georeference(), warnings.len()), (wall(0.0).georeference(), 0));
+        let (frame, warnings) = made(wall(0.0), wall(3.0));
+        assert_eq!(frame.georeference(), None);
+        assert!(warnings.len() == 1 && warnings[0].contains("two wall frames, so"), "{warnings:?}");
+    }
 }

@@ -117,8 +117,8 @@ fn settled(
     context: &Context,
     left_out: &mut Vec<String>,
 ) -> Result<(Frame, Settled), StageError> {
-    let has_system = params.crs.is_some()
-        || system.stated.as_ref().is_some_and(|stated| !matches!(stated.kind, crs::Kind::Local | crs::Kind::Unknown));
+    let is_local = |stated: &crs::Stated| stated.kind == crs::Kind::Local;
+    let has_system = params.crs.is_some() || system.stated.as_ref().is_some_and(|stated| !is_local(stated));
     let own = system.frame.unwrap_or(if has_system { Frame::World } else { Frame::Wall });
     let is_wall = match params.frame {
         GridFrame::Automatic => own == Frame::Wall && params.crs.is_none(),
@@ -130,10 +130,13 @@ fn settled(
         let settled = settle(name, [system.stated, None], params.crs.as_ref(), about, context)?;
         return Ok((settled.frame(), settled));
     }
-    if let Some(stated) = system.stated.filter(|_| has_system) {
-        left_out.push(format!("`{name}` states {}", stated.name));
+    let frame = system.frame.filter(|frame| *frame == Frame::Wall).unwrap_or(Frame::Wall);
+    let Some(stated) = system.stated else { return Ok((frame, Settled::metres())) };
+    if is_local(&stated) {
+        return Ok((frame, settle(name, [Some(stated), None], None, (Tool::Gdal, system.corner), context)?));
     }
-    Ok((system.frame.filter(|frame| *frame == Frame::Wall).unwrap_or(Frame::Wall), Settled::metres()))
+    left_out.push(format!("`{name}` states {}", stated.name));
+    Ok((frame, Settled::metres()))
 }
 
 /// One file in metres, its bands named after it.
@@ -263,6 +266,15 @@ fn append(first: &str, together: &mut Raster, name: &str, raster: Raster) -> Res
         return Err(StageError::new(text)
             .hint("bring the files into one system first: `gdalwarp -t_srs EPSG:... in.tif out.tif`"));
     }
+    let way = |raster: &Raster| raster.frame.georeference().and_then(|place| place.wall_from_world.as_ref());
+    if let (Some(one), Some(other)) = (way(together), way(&raster))
+        && one != other
+    {
+        return Err(StageError::new(format!(
+            "`{first}` and `{name}` are in two wall frames: the same place has other coordinates in each"
+        ))
+        .hint("make both with one `transform`, or import them in separate steps"));
+    }
     if together.frame.georeference().is_none() {
         together.frame = raster.frame;
     }
@@ -291,7 +303,7 @@ mod tests {
     use serde_json::json;
 
     use super::*;
-    use rockface_core::artefact::{Artefact, Grid};
+    use rockface_core::artefact::{Artefact, Georeference, Grid, Transform};
     use rockface_core::testing::{TestHost, run_stage};
 
     fn file(name: &str, left_m: f64, values: Vec<f32>) -> (String, Vec<u8>) {
@@ -386,5 +398,52 @@ mod tests {
         assert!(shifted.contains("`a.tif`") && shifted.contains("`b.tif`"), "{shifted}");
         let twins = message(vec![file("a.tif", 0.0, vec![1.0; 4]), file("a.tiff", 0.0, vec![1.0; 4])]);
         assert!(twins.contains("`a`"), "{twins}");
+    }
+
+    /// A raster in a frame as GDAL would write it: without what our own files say beside the keys.
+    fn foreign(name: &str, frame: Frame) -> (String, Vec<u8>) {
+        let grid = Grid { columns: 2, rows: 2, cell_m: 0.5, left_m: 691_000.0, top_m: 5_334_000.0 };
+        let mut bytes = Raster::single(grid, frame, "elevation", "z", vec![300.0; 4]).encode().unwrap();
+        for item in [&b"\"FRAME\""[..], b"\"GEOREFERENCE\""] {
+            if let Some(at) = bytes.windows(item.len()).position(|window| window == item) {
+                bytes[at + 1] = b'X';
+            }
+        }
+        (name.to_owned(), bytes)
+    }
+
+    #[test]
+    fn a_code_that_is_not_known_is_no_wall_frame() {
+        let text = Frame::World.at(Some(Georeference::world("EPSG:2154".parse().unwrap()))).crs().unwrap().wkt();
+        let newer: crs::Crs = text.replace("\"2154\"", "\"9794\"").parse().unwrap();
+        let world = Frame::World.at(Some(Georeference::world(newer)));
+        let error = import(vec![foreign("new.tif", world)]).unwrap_err();
+        assert!(error.message.contains("EPSG:9794") && error.hint.unwrap().contains("well-known text"));
+        let with = json!({"path": "real", "crs": text, "quantity": "elevation"});
+        let raster = import_with(&with, &mut TestHost::default(), vec![foreign("new.tif", world)]).unwrap();
+        assert_eq!(raster.frame.crs().unwrap().epsg(), Some(2154));
+        // Our own files have the definition beside the code.
+        let own = Raster::single(raster.grid, world, "elevation", "z", vec![300.0; 4]).encode().unwrap();
+        let again = import(vec![("own.tif".into(), own)]).unwrap();
+        assert_eq!(again.frame.crs(), world.crs());
+    }
+
+    #[test]
+    fn rasters_of_two_wall_frames_are_not_put_together() {
+        let wall = |shift_m: f64| {
+            let wall_from_world =
+                Some(Transform { origin: [shift_m, 0.0, 0.0], ..Transform::identity("world", "wall") });
+            Frame::Wall.at(Some(Georeference { crs: None, wall_from_world }))
+        };
+        let file = |name: &str, frame: Frame| {
+            let grid = Grid { columns: 2, rows: 2, cell_m: 0.5, left_m: 0.0, top_m: 1.0 };
+            let raster = Raster::single(grid, frame, "elevation", "z", vec![1.0; 4]);
+            (name.to_owned(), raster.encode().unwrap())
+        };
+        let two = |second: Frame| import(vec![file("a.tif", wall(0.0)), file("b.tif", second)]);
+        assert!(two(wall(3.0)).unwrap_err().message.contains("two wall frames"));
+        let one = two(wall(0.0)).unwrap();
+        assert_eq!(one.frame.georeference(), wall(0.0).georeference());
+        assert!(two(Frame::Wall).is_ok());
     }
 }

@@ -2,6 +2,7 @@
 
 use crate::detection::change::Change;
 use crate::detection::cloud::Cloud;
+use crate::detection::facing;
 use crate::detection::found;
 use crate::detection::found::Found;
 use crate::detection::limit::NORMAL_95;
@@ -47,7 +48,7 @@ pub struct DetectM3c2;
 impl Stage for DetectM3c2 {
     type Params = DetectM3c2Params;
     const NAME: &'static str = "detect-m3c2";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const PAGE: Page = Page::new(include_str!("detect_m3c2.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("reference", &[Kind::Surface, Kind::Mesh, Kind::Cloud], "The earlier epoch: its points or vertices."),
@@ -74,6 +75,7 @@ impl Stage for DetectM3c2 {
         if frame != comparison.frame() {
             fail!("the reference is in the {frame} frame, the comparison in the {} frame", comparison.frame());
         }
+        facing::check("reference", reference, facing::POINTS_FROM_ABOVE)?;
         let grid = grid(params, reference, inputs)?;
         let moved = inputs.optional::<Transform>("transform")?.and_then(Moved::by);
         let side = params.projection_radius_m;

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use crate::detection::change::Change;
+use crate::detection::facing;
 use crate::detection::found;
 use crate::detection::found::Found;
 use crate::detection::voxels::{self, Cluster, Voxels};
@@ -32,7 +33,7 @@ pub struct DetectVoxels;
 impl Stage for DetectVoxels {
     type Params = DetectVoxelsParams;
     const NAME: &'static str = "detect-voxels";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: Page = Page::new(include_str!("detect_voxels.md"));
     const INPUTS: &'static [Port] = &[
         Port::one(
@@ -71,6 +72,7 @@ impl Stage for DetectVoxels {
         if frame != comparison.frame() {
             fail!("the reference is in the {frame} frame, the comparison in the {} frame", comparison.frame());
         }
+        facing::check("reference", reference, facing::VOLUMES_BELOW)?;
         let moved = inputs.optional::<Transform>("transform")?.and_then(Moved::by);
         let voxels = Voxels::new([reference, comparison], moved.as_ref(), params.voxel_m)
             .map_err(|e| e.hint("choose a larger `voxel_m`; are both surfaces in metres?"))?;

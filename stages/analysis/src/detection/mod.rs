@@ -1,7 +1,7 @@
 //! Change detection, its scores, and limits of detection.
 //!
 //! `clusters` opens masks and joins cells, `limit` holds limits of detection on rasters, `found` turns clusters into an
-//! inventory, `cloud` and `m3c2` compare point clouds, `voxels` compares occupied space, `score` compares what was found
+//! inventory, `facing` refuses steep faces in the world frame, `cloud` and `m3c2` compare point clouds, `voxels` compares occupied space, `score` compares what was found
 //! with what is true, `assignment` pairs both one to one, `rates` averages over epochs, `detectability` tells what is found.
 
 pub mod assignment;
@@ -10,7 +10,8 @@ pub mod cloud;
 pub mod clusters;
 pub mod compared;
 pub mod detectability;
-pub mod found;
+pub mod facing;
+mod found;
 pub mod limit;
 pub mod m3c2;
 pub mod raster;

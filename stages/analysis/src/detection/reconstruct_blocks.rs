@@ -23,7 +23,7 @@ pub struct ReconstructBlocks;
 impl Stage for ReconstructBlocks {
     type Params = ReconstructBlocksParams;
     const NAME: &'static str = "reconstruct-blocks";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: Page = Page::new(include_str!("reconstruct_blocks.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("detections", &[Kind::Inventory], "What was found, verified or not."),
@@ -61,7 +61,8 @@ impl Stage for ReconstructBlocks {
             let class = classes.map_or("observed".to_owned(), |at| feature.values[at].to_string());
             parts.push(Part { name: id.to_string(), class, vertices: body.vertices, triangles: body.triangles });
         }
-        if parts.is_empty() {
+        // Where nothing was found there is nothing to make.
+        if parts.is_empty() && !detections.features.is_empty() {
             return Err(StageError::new(format!("none of the {} detections makes a block", detections.features.len()))
                 .hint("are the rasters those the detections were found in?"));
         }
@@ -139,5 +140,16 @@ mod tests {
         assert!(run(elevation(0.6)).contains("none of the 1 detections"));
         let other = Raster { grid: Grid { left_m: 1.0, ..GRID }, ..elevation(0.3) };
         assert!(run(other).contains("the comparison 10 x 10"));
+    }
+
+    #[test]
+    fn no_detections_make_no_blocks() {
+        let inputs = [
+            ("detections", found(&[]).into()),
+            ("reference", elevation(0.5).into()),
+            ("comparison", elevation(0.3).into()),
+        ];
+        let made = run_stage::<ReconstructBlocks>(&TestHost::default(), &json!({}), &inputs).unwrap().into_inner();
+        assert!(matches!(&made["blocks"], Artefact::Meshes(blocks) if blocks.parts.is_empty()));
     }
 }

@@ -10,6 +10,8 @@ use rockface_raster::shape::{Moved, Shape};
 
 /// Voxels a grid may have; their places fit into 32 bits.
 pub const MAXIMUM: f64 = 6e8;
+/// Most voxels between a surface and the origin: farther away a double does not count them one by one.
+const FARTHEST: f64 = 1e15;
 /// The reference occupies a voxel.
 const REFERENCE: u8 = 1;
 /// The comparison occupies a voxel.
@@ -78,6 +80,13 @@ impl Voxels {
         let [low_m, high_m] = bounds(points);
         if low_m[0] > high_m[0] {
             return Err(StageError::new("neither surface has points"));
+        }
+        let farthest = low_m.iter().chain(&high_m).fold(0.0f64, |most, x| most.max(x.abs()));
+        if farthest / edge_m > FARTHEST {
+            return Err(StageError::new(format!(
+                "a coordinate of {farthest:e} m is no place for voxels of {edge_m} m"
+            ))
+            .hint("is it a no-data value that the file does not declare?"));
         }
         let first = low_m.map(|low| (low / edge_m).floor() - 1.0);
         let size: [f64; 3] = std::array::from_fn(|axis| (high_m[axis] / edge_m).floor() + 2.0 - first[axis]);
@@ -342,5 +351,15 @@ mod tests {
         assert!(Voxels::new([shape, shape], None, 1e-5).err().unwrap().message.contains("voxels of 0.00001 m"));
         let empty = Mesh { vertices: Vec::new(), triangles: Vec::new(), ..plane.clone() };
         assert!(Voxels::new([Shape::Mesh(&empty), Shape::Mesh(&empty)], None, 0.1).is_err());
+    }
+
+    #[test]
+    fn a_value_that_is_no_height_is_refused() {
+        let (near, mut far) = (niche(0.2), niche(0.2));
+        far.vertices.iter_mut().for_each(|vertex| vertex[2] = -3.4e38);
+        let error = Voxels::new([Shape::Mesh(&near), Shape::Mesh(&far)], None, 0.05).err().unwrap();
+        assert!(error.message.contains("3.4e38") && error.hint.unwrap().contains("no-data"), "{}", error.message);
+        let error = Voxels::new([Shape::Mesh(&far), Shape::Mesh(&far)], None, 0.05).err().unwrap();
+        assert!(error.message.contains("3.4e38"));
     }
 }

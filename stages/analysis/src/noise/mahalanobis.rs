@@ -51,6 +51,9 @@ pub fn bound(n: usize) -> f64 {
 /// # Errors
 /// No feature varies, fewer than p + 2 rasters, or features so nearly collinear that the covariance has no inverse.
 pub fn fit(names: &[String], rows: &[Vec<f64>], ridge: f64) -> Result<GroupModel, StageError> {
+    if rows.is_empty() {
+        fail!("the tables of the references have no rows: there is nothing to learn from");
+    }
     let (mean, deviation) = moments(rows, names.len());
     let constants = constants(names, rows);
     let (varying, constant): (Vec<usize>, Vec<usize>) = (0..names.len()).partition(|j| constants[*j].is_none());
@@ -324,5 +327,10 @@ mod tests {
         assert!(model.leave_one_out_d2[0] < 100.0);
         assert_eq!(leave_one_out_quantile(&model, 0.99), None);
         assert!(leave_one_out_quantile(&model, 0.5).unwrap() < 100.0);
+    }
+
+    #[test]
+    fn no_rows_are_told_before_anything_is_learnt() {
+        assert!(fit(&["std_m".to_owned()], &[], 1e-3).err().unwrap().message.contains("have no rows"));
     }
 }

@@ -69,6 +69,11 @@ pub fn coordinates(
     let value = |name: &String| {
         of_row(name).or_else(|| of_axis(name)).or_else(|| of_points(name)).filter(|x| x.is_finite()).ok_or_else(|| {
             let place: Vec<String> = items.iter().map(|(axis, item)| format!("{axis}={item}")).collect();
+            if let Some(at) = table.column(name) {
+                let cells: Vec<String> = row.iter().map(ToString::to_string).collect();
+                let (found, row) = (row[at].to_string(), cells.join(","));
+                return StageError::new(format!("column `{name}` holds no number but `{found}` in the row `{row}`"));
+            }
             StageError::new(format!(
                 "`{name}` has no number at `{}`: it is neither a column, nor an axis of numbers, nor a column of `points`",
                 place.join(" ")

@@ -70,7 +70,7 @@ pub fn names(settings: &Settings) -> Vec<String> {
 pub fn structure(values: &[f32], columns: usize, settings: &Settings) -> Result<Vec<f64>, StageError> {
     let field = Field::centred(values, columns);
     let total = Moments::of(field.values.iter().copied());
-    let log_rms = total.log_rms("the raster")?;
+    let log_rms = total.log_rms("its departures from the mean")?;
     let mut found = Vec::new();
     for lag in &settings.lags_cells {
         for (direction, right, down) in DIRECTIONS {

@@ -9,12 +9,13 @@ use crate::crs::Crs;
 /// The longest text of a georeference that is read, bytes.
 const LONGEST: usize = 1 << 17;
 
-/// Where a frame lies on the Earth.
+/// Where a frame lies on the Earth, or on its site where that is in no known place on it.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Georeference {
-    /// The system of the world frame.
-    pub crs: Crs,
+    /// The system of the world frame, where one is stated.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub crs: Option<Crs>,
     /// How the wall frame lies in the world frame; absent for the world frame itself, and where it is not known.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub wall_from_world: Option<Transform>,
@@ -23,7 +24,7 @@ pub struct Georeference {
 impl Georeference {
     /// The world frame in a system.
     pub fn world(crs: Crs) -> Self {
-        Self { crs, wall_from_world: None }
+        Self { crs: Some(crs), wall_from_world: None }
     }
 
     /// Its text in files: JSON in ASCII, on one line.
@@ -101,7 +102,7 @@ impl Frame {
 
     /// The system its own coordinates are in: that of the world frame; the wall frame is in none.
     pub fn crs(self) -> Option<&'static Crs> {
-        self.georeference.filter(|_| self == Self::World).map(|georeference| &georeference.crs)
+        self.georeference.filter(|_| self == Self::World).and_then(|georeference| georeference.crs.as_ref())
     }
 
     /// The same axes at this place on the Earth.
@@ -110,9 +111,10 @@ impl Frame {
         let own = georeference.map(|mut own| {
             own.wall_from_world =
                 own.wall_from_world.filter(|_| self == Self::Wall).map(|t| Transform { crs: None, ..t });
-            own.shared()
+            own
         });
-        Self { georeference: own, ..self }
+        let says_any = |own: &Georeference| own.crs.is_some() || own.wall_from_world.is_some();
+        Self { georeference: own.filter(says_any).map(Georeference::shared), ..self }
     }
 }
 
@@ -181,7 +183,11 @@ mod tests {
 
     fn wall() -> Frame {
         let wall_from_world = Some(Transform::identity("world", "wall"));
-        Frame::Wall.at(Some(Georeference { crs: "EPSG:28356".parse().unwrap(), wall_from_world }))
+        Frame::Wall.at(Some(Georeference { crs: "EPSG:28356".parse().ok(), wall_from_world }))
+    }
+
+    fn of_site() -> Georeference {
+        Georeference { crs: None, wall_from_world: Some(Transform::identity("world", "wall")) }
     }
 
     #[test]
@@ -190,6 +196,7 @@ mod tests {
             Frame::World,
             Frame::Wall,
             wall(),
+            Frame::Wall.at(Some(of_site())),
             Frame::World.at(Some(Georeference::world("EPSG:32633".parse().unwrap()))),
         ] {
             let text = serde_json::to_string(&frame).unwrap();
@@ -207,6 +214,8 @@ mod tests {
         assert_eq!(world.crs().unwrap().epsg(), Some(28356));
         assert_eq!(world.georeference().unwrap().wall_from_world, None);
         assert_eq!(wall(), Frame::Wall);
+        // The world of a site without a system has nothing to say.
+        assert_eq!(Frame::World.at(Some(of_site())).georeference(), None);
     }
 
     #[test]

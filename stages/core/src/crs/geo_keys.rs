@@ -122,7 +122,10 @@ impl GeoKeys<'_> {
     /// What the keys state; `None` where they state no system.
     pub fn stated(&self) -> Option<Stated> {
         let own = |key: u16| self.code(key).filter(|code| *code != USER_DEFINED).map(u32::from);
-        let model = self.code(MODEL_TYPE)?;
+        let Some(model) = self.code(MODEL_TYPE) else {
+            // Without a model keys state no more than a unit.
+            return self.unit().filter(|unit| !unit.is_metre()).map(|unit| Stated::local(&self.name(), Some(unit)));
+        };
         if let Some(text) = self.pe_string().filter(|_| own(PROJECTED).is_none()) {
             return Some(Stated::of_prj(text.as_bytes()));
         }

@@ -3,6 +3,7 @@
 //! Coordinates inside are metres. A [`Crs`] is therefore projected, with metres along its axes; what files state otherwise is a
 //! [`Stated`] system, which [`settle`] makes one of, converting feet and refusing degrees.
 
+mod datums;
 pub mod geo_keys;
 mod heights;
 mod metric;
@@ -33,11 +34,12 @@ use wkt::{Argument, Node};
 pub struct Crs(String);
 
 impl Crs {
-    /// The system of a node that is projected and in metres: by its EPSG code where that is known, otherwise by its text.
+    /// The system of a node that is projected and in metres: by its EPSG code where that is known, otherwise by its text. A code that is not known
+    /// stays: that of a system which is alike is another statement.
     pub(crate) fn of_node(node: &Node) -> Self {
         let (horizontal, vertical) = parts(node);
         let known = horizontal.epsg().filter(|code| definition(*code).is_some_and(|known| is_metric(&known)));
-        let code = known.or_else(|| signature::find(horizontal));
+        let code = if horizontal.epsg().is_some() { known } else { signature::find(horizontal) };
         let height =
             vertical.map(|vertical| (vertical.epsg().filter(|code| vertical_definition(*code).is_some()), vertical));
         match (code, height) {

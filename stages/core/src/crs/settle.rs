@@ -35,8 +35,8 @@ impl ParamType for CrsName {
         let stated = name.stated().map_err(|message| vec![Fault::new(message)])?;
         match stated.kind {
             Kind::Projected => Ok(name),
-            Kind::Geographic | Kind::Geocentric | Kind::WorldMap => Err(vec![Fault::new(format!(
-                "{}: a system in metres is needed, such as the UTM zone of the site; reproject the file first",
+            Kind::Geographic | Kind::Geocentric | Kind::WorldMap | Kind::WestSouth => Err(vec![Fault::new(format!(
+                "{}: a system in metres to the east and north is needed, such as the UTM zone of the site; reproject the file first",
                 sort_of(&stated)
             ))]),
             _ => Err(vec![Fault::new(format!("`{}` is no system of map coordinates", stated.name))]),
@@ -57,6 +57,7 @@ fn sort_of(stated: &Stated) -> String {
                 "coordinates of a map of the world ({name}), whose lengths are not those on the ground: 1.4 times as long at 45 degrees north"
             )
         }
+        Kind::WestSouth => format!("distances to the west or south ({name})"),
         _ => name.clone(),
     }
 }
@@ -141,7 +142,9 @@ pub fn settle(
     ];
     let mut stated: Vec<(String, Stated)> = statements.into_iter().filter_map(|(who, s)| Some((who, s?))).collect();
     let found = |found: Option<(usize, &(String, Stated))>| found.map(|(place, _)| place);
-    let unfit = |(_, s): &(String, Stated)| matches!(s.kind, Kind::Geographic | Kind::Geocentric | Kind::WorldMap);
+    let unfit = |(_, s): &(String, Stated)| {
+        matches!(s.kind, Kind::Geographic | Kind::Geocentric | Kind::WorldMap | Kind::WestSouth)
+    };
     if let Some(place) = found(stated.iter().enumerate().find(|(_, stated)| unfit(stated))) {
         let (who, stated) = stated.swap_remove(place);
         return Err(refusal(path, &who, &stated, tool, first));
@@ -150,7 +153,9 @@ pub fn settle(
     let known = stated.iter().any(|(_, s)| s.kind != Kind::Unknown);
     if let Some((who, unread)) = stated.iter().find(|(_, s)| s.kind == Kind::Unknown && !known) {
         let text = format!("{who} states a coordinate reference system that cannot be read: {}", unread.name);
-        return Err(StageError::new(text).hint("say which one it is with `crs: EPSG:...`"));
+        let way = "say which one it is with `crs: EPSG:...`, or, where its code is not known here, with its well-known text: `crs` takes what `gdalsrsinfo \
+                   -o wkt1 EPSG:...` or `projinfo -o WKT1:GDAL EPSG:...` prints";
+        return Err(StageError::new(text).hint(way));
     }
     stated.retain(|(_, s)| s.kind != Kind::Unknown);
     if let [(one, a), others @ ..] = stated.as_slice()
@@ -172,7 +177,41 @@ pub fn settle(
     stated.sort_by_key(|(_, s)| (s.vertical_unit.is_none(), s.node.is_none()));
     let place = with_heights(&stated).unwrap_or(0);
     let (_, stated) = stated.swap_remove(place);
+    if let Some(warning) = first.and_then(|first| far_off(path, &stated, first)) {
+        context.warn(warning);
+    }
     Ok(converted(path, &stated, context))
+}
+
+/// Farthest from the false origin of a map that places of a zone are, and those of maps of countries, metres.
+const FARTHEST_M: [f64; 2] = [1.5e6, 6e6];
+/// Farthest north or south, metres: the quarter of a meridian.
+const QUARTER_M: f64 = 1.01e7;
+/// A false easting that degrees are not mistaken for.
+const LEAST_FALSE_M: f64 = 1000.0;
+
+/// What is wrong with a point that cannot be one of the system it is said to be in.
+fn far_off(path: &str, stated: &Stated, [x, y, _]: [f64; 3]) -> Option<String> {
+    let node = stated.node.as_ref().filter(|_| stated.kind == Kind::Projected)?;
+    let (plane, _) = parts(node);
+    let metres = stated.unit.as_ref().map_or(1.0, |unit| unit.metres);
+    let [false_x, false_y] = super::signature::false_origin(plane);
+    let projection = super::signature::plain(super::signature::method(plane).map_or("", super::wkt::Node::name));
+    let is_zone = ["transversemercator", "obliquemercator", "gausskruger"].iter().any(|zone| projection.contains(zone));
+    let [x_m, y_m] = [(x - false_x) * metres, (y - false_y) * metres];
+    let name = &stated.name;
+    if x.abs() <= 180.0 && y.abs() <= 90.0 && false_x.abs().max(false_y.abs()) > LEAST_FALSE_M {
+        return Some(format!("`{path}` has a point at {x}, {y}, which look like degrees, but is said to be in {name}"));
+    }
+    let far = x_m.abs() > FARTHEST_M[usize::from(!is_zone)] || y_m.abs() > QUARTER_M;
+    far.then(|| {
+        format!(
+            "`{path}` has a point at {x:.0}, {y:.0}, which lies {:.0} km to the east and {:.0} km to the north of the false origin of {name}: are easting \
+             and northing swapped, or are the numbers those of another system?",
+            1e-3 * x_m,
+            1e-3 * y_m
+        )
+    })
 }
 
 /// Where the system of heights of the first statement is not known: a statement with heights in the same unit.
@@ -193,8 +232,10 @@ fn refusal(path: &str, who: &str, stated: &Stated, tool: Tool, first: Option<[f6
         Tool::Ogr => format!("`ogr2ogr -t_srs {to} out.geojson {name}`"),
         Tool::Other => format!("QGIS and CloudCompare reproject to {to}"),
     };
-    let text =
-        format!("`{path}` has {}, as {who} states; lengths and angles need metres on the ground", sort_of(stated));
+    let text = format!(
+        "`{path}` has {}, as {who} states; what is needed are metres on the ground to the east and north",
+        sort_of(stated)
+    );
     StageError::new(text).hint(format!("bring it to {of_place}: {command}"))
 }
 

@@ -1,7 +1,9 @@
 //! What a projected system is, whatever it is called: programs write one system in several dialects of WKT, often without its code.
 
-use super::Kind;
-use super::wkt::Node;
+use std::collections::BTreeMap;
+
+use super::wkt::{Argument, Node};
+use super::{Kind, datums};
 
 /// Names of parameters of WKT 2, and those of WKT 1 for the same.
 const PARAMETERS: &[(&str, &str)] = &[
@@ -11,6 +13,7 @@ const PARAMETERS: &[(&str, &str)] = &[
     ("longitudeofnaturalorigin", "centralmeridian"),
     ("longitudeoffalseorigin", "centralmeridian"),
     ("longitudeofcenter", "centralmeridian"),
+    ("longitudeoforigin", "centralmeridian"),
     ("scalefactoratnaturalorigin", "scalefactor"),
     ("eastingatfalseorigin", "falseeasting"),
     ("northingatfalseorigin", "falsenorthing"),
@@ -25,9 +28,18 @@ const PROJECTIONS: &[(&str, &str)] = &[
     ("lambertconformalconic2sp", "lambertconformalconic"),
     ("lambertconicconformal1sp", "lambertconformalconic"),
     ("lambertconicconformal2sp", "lambertconformalconic"),
+    ("albers", "albersconicequalarea"),
+    ("cassini", "cassinisoldner"),
+    ("doublestereographic", "obliquestereographic"),
+    ("hotineobliquemercatorazimuthnaturalorigin", "hotineobliquemercator"),
+    ("stereographicnorthpole", "polarstereographic"),
+    ("stereographicsouthpole", "polarstereographic"),
+    ("polarstereographicvarianta", "polarstereographic"),
+    ("polarstereographicvariantb", "polarstereographic"),
+    ("krovaknorthorientated", "krovak"),
 ];
 
-/// Projection with its parameters, unit, ellipsoid, prime meridian and years of the datum; `None` for what is not projected.
+/// Projection with its parameters, unit, ellipsoid, prime meridian and datum; `None` for what is not projected.
 pub fn of(node: &Node) -> Option<String> {
     if Kind::of(node) != Some(Kind::Projected) {
         return None;
@@ -38,18 +50,19 @@ pub fn of(node: &Node) -> Option<String> {
     let (conversion, method) = (node.child(&["CONVERSION"]), method(node)?);
     let meridian = base.child(&["PRIMEM"]).or_else(|| node.child(&["PRIMEM"])).and_then(|node| node.number(1));
     let parameters = conversion.unwrap_or(node).nodes().filter(|child| child.keyword == "PARAMETER");
-    let mut values: Vec<String> = parameters.filter_map(parameter).collect();
-    values.sort_unstable();
+    let mut parameters: BTreeMap<String, f64> = parameters.filter_map(parameter).collect();
+    let mut projection = known(PROJECTIONS, &plain(method.name())).to_owned();
+    one_dialect(&mut projection, &mut parameters);
+    let values: Vec<String> = parameters.iter().filter_map(|(name, value)| told(name, *value)).collect();
     let unit = super::stated::linear_unit(node)?.metres;
     Some(format!(
-        "{} {} {:.9} {:.3} {:.7} {:.6} {}",
-        known(PROJECTIONS, &plain(method.name())),
+        "{projection} {} {:.9} {:.3} {:.7} {:.6} {}",
         values.join(" "),
         unit,
         ellipsoid.number(1)?,
         ellipsoid.number(2)?,
         meridian.unwrap_or(0.0),
-        years(datum.name())
+        datums::known(datum.name())
     ))
 }
 
@@ -59,12 +72,74 @@ pub fn method(node: &Node) -> Option<&Node> {
     conversion.and_then(|c| c.child(&["METHOD"])).or_else(|| node.child(&["PROJECTION"]))
 }
 
+/// Whether an axis counts to the west: with southings the other one does, and both are then the negative of what maps count. ESRI says it by the
+/// projection, and for that of Krovak by the sign of a scale.
+pub fn points_west(node: &Node) -> bool {
+    let is_west =
+        |axis: &Node| matches!(axis.arguments.get(1), Some(Argument::Word(way)) if way.eq_ignore_ascii_case("west"));
+    let projection = plain(method(node).map_or("", Node::name));
+    let is_positive =
+        |child: &Node| plain(child.name()) == "xscale" && child.number(1).is_some_and(|scale| scale > 0.0);
+    node.nodes().any(|child| child.keyword == "AXIS" && is_west(child))
+        || projection.contains("southorientated")
+        || projection == "krovak" && node.nodes().any(|child| child.keyword == "PARAMETER" && is_positive(child))
+}
+
+/// What is added to the eastings and northings of a system, in its unit.
+pub fn false_origin(node: &Node) -> [f64; 2] {
+    let parameters = node.child(&["CONVERSION"]).unwrap_or(node).nodes().filter(|child| child.keyword == "PARAMETER");
+    let values: BTreeMap<String, f64> = parameters.filter_map(parameter).collect();
+    ["falseeasting", "falsenorthing"].map(|name| values.get(name).copied().unwrap_or(0.0))
+}
+
+fn parameter(node: &Node) -> Option<(String, f64)> {
+    Some((known(PARAMETERS, &plain(node.name())).to_owned(), node.number(1)?))
+}
+
 /// A parameter that is not at the value it has when it is left out.
-fn parameter(node: &Node) -> Option<String> {
-    let (name, value) = (plain(node.name()), node.number(1)?);
-    let name = known(PARAMETERS, &name).to_owned();
-    let is_default = if name == "scalefactor" { (value - 1.0).abs() < 1e-12 } else { value.abs() < 1e-12 };
-    (!is_default).then(|| format!("{name}={value:.8e}"))
+fn told(name: &str, value: f64) -> Option<String> {
+    match name {
+        "scalefactor" if (value - 1.0).abs() < 1e-12 => None,
+        // Files round it.
+        "azimuth" => Some(format!("{name}={value:.6e}")),
+        _ if value.abs() < 1e-12 => None,
+        _ => Some(format!("{name}={value:.8e}")),
+    }
+}
+
+/// Writes what ESRI says in other parameters like the others.
+fn one_dialect(projection: &mut String, parameters: &mut BTreeMap<String, f64>) {
+    let same = |a: Option<&f64>, b: Option<&f64>| a.zip(b).is_some_and(|(a, b)| (a - b).abs() < 1e-9);
+    let polar = parameters.get("latitudeoforigin").is_some_and(|latitude| (latitude.abs() - 90.0).abs() < 1e-9);
+    if projection == "stereographic" && polar {
+        "polarstereographic".clone_into(projection);
+    }
+    match projection.as_str() {
+        // The one parallel of the tangent cone is that of the origin.
+        "lambertconformalconic"
+            if !parameters.contains_key("standardparallel2")
+                && same(parameters.get("standardparallel1"), parameters.get("latitudeoforigin")) =>
+        {
+            parameters.remove("standardparallel1");
+        }
+        "polarstereographic" => {
+            if let Some(parallel) =
+                parameters.remove("standardparallel1").or_else(|| parameters.remove("latitudeofstandardparallel"))
+            {
+                parameters.insert("latitudeoforigin".to_owned(), parallel);
+            }
+        }
+        "krovak" => {
+            parameters.retain(|name, _| !["xscale", "yscale", "xyplanerotation"].contains(&name.as_str()));
+        }
+        _ => {}
+    }
+    for name in ["azimuth", "rectifiedgridangle"] {
+        parameters.entry(name.to_owned()).and_modify(|degrees| *degrees = degrees.rem_euclid(360.0));
+    }
+    if same(parameters.get("rectifiedgridangle"), parameters.get("azimuth")) {
+        parameters.remove("rectifiedgridangle");
+    }
 }
 
 fn known<'a>(list: &'a [(&'a str, &'a str)], name: &'a str) -> &'a str {
@@ -74,14 +149,6 @@ fn known<'a>(list: &'a [(&'a str, &'a str)], name: &'a str) -> &'a str {
 /// Letters and digits alone, in lower case: names are spelt in many ways.
 pub fn plain(name: &str) -> String {
     name.chars().filter(char::is_ascii_alphanumeric).map(|c| c.to_ascii_lowercase()).collect()
-}
-
-/// The years in the name of a datum by their last two digits: `GDA_1994` and `GDA94` are one, `GDA2020` is another.
-fn years(name: &str) -> String {
-    let numbers = name.split(|c: char| !c.is_ascii_digit()).filter(|digits| digits.len() == 2 || digits.len() == 4);
-    let mut years: Vec<&str> = numbers.map(|digits| &digits[digits.len() - 2..]).collect();
-    years.sort_unstable();
-    years.join("-")
 }
 
 /// The code of the one system in metres that is the same; `None` where there is none or several.

@@ -12,6 +12,8 @@ pub enum Kind {
     Projected,
     /// Easting and northing on a Mercator map of the whole world, whose lengths are those on the ground at the equator only.
     WorldMap,
+    /// Distances on a map that are counted to the west or south.
+    WestSouth,
     /// Longitude and latitude in degrees.
     Geographic,
     /// X, Y and Z from the centre of the Earth.
@@ -29,6 +31,7 @@ impl Kind {
     pub fn of(node: &Node) -> Option<Self> {
         Some(match node.keyword.as_str() {
             "PROJCS" | "PROJCRS" | "PROJECTEDCRS" | "DERIVEDPROJCRS" if is_world_map(node) => Self::WorldMap,
+            "PROJCS" | "PROJCRS" | "PROJECTEDCRS" | "DERIVEDPROJCRS" if signature::points_west(node) => Self::WestSouth,
             "PROJCS" | "PROJCRS" | "PROJECTEDCRS" | "DERIVEDPROJCRS" => Self::Projected,
             "GEOCCS" => Self::Geocentric,
             "GEODCRS" | "GEODETICCRS" if is_cartesian(node) => Self::Geocentric,
@@ -46,6 +49,11 @@ fn is_world_map(node: &Node) -> bool {
         ["pseudomercator", "webmercator", "worldmercator", "popularvisualisation", "mercatorauxiliarysphere"];
     let method = signature::method(node).map_or("", Node::name);
     [node.name(), method].map(signature::plain).iter().any(|name| NAMES.iter().any(|known| name.contains(known)))
+}
+
+/// Whether a system of map coordinates has heights above the ellipsoid.
+fn has_three_axes(node: &Node) -> bool {
+    node.child(&["CS"]).is_some_and(|cs| cs.number(1).is_some_and(|axes| axes > 2.5))
 }
 
 fn is_cartesian(node: &Node) -> bool {
@@ -122,10 +130,16 @@ impl Stated {
         Self { name: why, kind: Kind::Unknown, ..Self::local("", None) }
     }
 
-    /// The system that the text of a `.prj` states.
+    /// The system that the text of a `.prj` states: one, or after it that of heights, as ESRI writes it.
     pub fn of_prj(bytes: &[u8]) -> Self {
-        let text = String::from_utf8_lossy(bytes);
-        Self::from_wkt(text.trim_start_matches('\u{feff}')).unwrap_or_else(Self::unknown)
+        let text = text_of(bytes);
+        let text = text.trim_start_matches('\u{feff}').trim_end_matches('\0').trim();
+        let of_two = || {
+            let both = Node::parse(&format!("COMPD_CS[\"\",{text}]")).ok()?;
+            let (horizontal, vertical) = parts(&both);
+            Self::from_node(compound(horizontal, vertical.filter(|node| Kind::of(node) == Some(Kind::Vertical))?)).ok()
+        };
+        Self::from_wkt(text).or_else(|why| of_two().ok_or(why)).unwrap_or_else(Self::unknown)
     }
 
     /// The system that one of our own files states.
@@ -139,14 +153,44 @@ impl Stated {
         Self { name, kind: Kind::Local, unit, vertical_unit: None, node: None, unknown_heights: None }
     }
 
-    /// Whether coordinates of the two mean the same places, as far as both say.
+    /// Whether coordinates of the two mean the same places, as far as both say: on the map, and in height.
     pub fn agrees_with(&self, other: &Self) -> bool {
+        self.is_same_plane(other) && self.are_heights_alike(other)
+    }
+
+    fn are_heights_alike(&self, other: &Self) -> bool {
+        let (Some(one), Some(two)) = (&self.node, &other.node) else { return true };
+        let ((plane, height), (other_plane, other_height)) = (parts(one), parts(two));
+        match (height, other_height) {
+            (Some(height), Some(other_height)) => {
+                let codes = height.epsg().zip(other_height.epsg());
+                let units = self.vertical_unit.as_ref().zip(other.vertical_unit.as_ref());
+                codes.is_none_or(|(a, b)| a == b) && units.is_none_or(|(a, b)| a == b)
+            }
+            // Heights above the ellipsoid are part of a system of three axes.
+            (Some(_), None) => !has_three_axes(other_plane),
+            (None, Some(_)) => !has_three_axes(plane),
+            (None, None) => true,
+        }
+    }
+
+    fn is_same_plane(&self, other: &Self) -> bool {
         let code = |stated: &Self| stated.node.as_ref().and_then(|node| parts(node).0.epsg());
         let signature = |stated: &Self| stated.node.as_ref().and_then(|node| super::signature::of(parts(node).0));
         match (code(self), code(other)) {
             (Some(code), Some(other)) => code == other,
             _ => self.kind == other.kind && signature(self).is_some() && signature(self) == signature(other),
         }
+    }
+}
+
+/// Text in UTF-8, or in UTF-16 with its mark.
+fn text_of(bytes: &[u8]) -> String {
+    let units = |of: fn([u8; 2]) -> u16| bytes.as_chunks().0.iter().map(|pair| of(*pair)).collect::<Vec<u16>>();
+    match bytes {
+        [0xff, 0xfe, ..] => String::from_utf16_lossy(&units(u16::from_le_bytes)),
+        [0xfe, 0xff, ..] => String::from_utf16_lossy(&units(u16::from_be_bytes)),
+        _ => String::from_utf8_lossy(bytes).into_owned(),
     }
 }
 

@@ -53,6 +53,10 @@ fn settled(
     (result, host.warnings(), notes)
 }
 
+fn of_feet(code: u32) -> Result<Settled, StageError> {
+    settled(Some(Stated::from_epsg(code, None).unwrap()), None, None).0
+}
+
 #[test]
 fn feet_become_metres_with_a_warning_and_a_system_of_their_own() {
     let stated = Stated::from_epsg(2927, None).unwrap();
@@ -67,9 +71,13 @@ fn feet_become_metres_with_a_warning_and_a_system_of_their_own() {
         "{warnings:?}"
     );
     let crs = settled.crs.unwrap();
-    assert_eq!((crs.epsg(), crs.name().as_str()), (None, "NAD83(HARN) / Washington South (ftUS), in metres"));
+    // Its false easting is that of the system in metres to a tenth of a millimetre.
+    assert_eq!((crs.epsg(), crs.name().as_str()), (Some(2856), "NAD83(HARN) / Washington South"));
+    // There is no such system in metres.
+    let crs = of_feet(26741).unwrap().crs.unwrap();
+    assert_eq!((crs.epsg(), crs.name().as_str()), (None, "NAD27 / California zone I, in metres"));
     assert!(
-        crs.wkt().contains("PARAMETER[\"false_easting\",500000.0001016") && crs.wkt().contains("UNIT[\"metre\",1"),
+        crs.wkt().contains("PARAMETER[\"false_easting\",609601.2192") && crs.wkt().contains("UNIT[\"metre\",1"),
         "{}",
         crs.wkt()
     );
@@ -205,4 +213,153 @@ fn every_code_of_the_table_is_read() {
         }
     }
     assert!(kinds["Projected"] > 4900 && kinds["Geographic"] > 500 && kinds["Geocentric"] > 150, "{kinds:?}");
+}
+
+/// A projected system as ESRI writes it, in degrees and metres: datum, ellipsoid, projection, parameters.
+fn esri(datum: &str, [axis, flattening]: [f64; 2], projection: &str, parameters: &[(&str, f64)]) -> String {
+    let parameters: Vec<String> =
+        parameters.iter().map(|(name, value)| format!("PARAMETER[\"{name}\",{value:?}]")).collect();
+    format!(
+        "PROJCS[\"of a file\",GEOGCS[\"its own\",DATUM[\"{datum}\",SPHEROID[\"its own\",{axis:?},{flattening:?}]],PRIMEM[\"Greenwich\",0.0],\
+         UNIT[\"Degree\",0.017_453_292_519_943_3]],PROJECTION[\"{projection}\"],{},UNIT[\"Meter\",1.0]]",
+        parameters.join(",")
+    )
+}
+
+const INTERNATIONAL: [f64; 2] = [6_378_388.0, 297.0];
+const BESSEL: [f64; 2] = [6_377_397.155, 299.152_812_8];
+
+fn utm(datum: &str, ellipsoid: [f64; 2], meridian: f64, northing: f64) -> String {
+    let parameters = [
+        ("False_Easting", 500_000.0),
+        ("False_Northing", northing),
+        ("Central_Meridian", meridian),
+        ("Scale_Factor", 0.9996),
+        ("Latitude_Of_Origin", 0.0),
+    ];
+    esri(datum, ellipsoid, "Transverse_Mercator", &parameters)
+}
+
+#[test]
+fn another_datum_on_the_same_ellipsoid_is_another_system() {
+    // Aratu lies 210 m from Corrego Alegre, La Canoa 600 m from Bogota.
+    assert_eq!(crs(&utm("D_Corrego_Alegre", INTERNATIONAL, -51.0, 1e7)).epsg(), Some(22522));
+    assert_eq!(crs(&utm("D_Bogota", INTERNATIONAL, -75.0, 0.0)).epsg(), Some(21818));
+    let unknown = crs(&utm("D_Of_The_Mine", INTERNATIONAL, -51.0, 1e7));
+    assert!(unknown.epsg().is_none() && !unknown.agrees_with(&crs("EPSG:20822")), "{unknown}");
+    // NAD83 and its later realisations lie up to two metres apart, in feet as in metres.
+    let metres = |code: u32| of_feet(code).unwrap().crs.unwrap();
+    assert!(metres(2229).agrees_with(&metres(2229)) && !metres(2229).agrees_with(&metres(2874)));
+    // A code that is not known here is no other one.
+    let newer = crs("EPSG:2154").wkt().replace("\"2154\"", "\"9794\"");
+    assert_eq!((crs(&newer).epsg(), crs(&newer).agrees_with(&crs("EPSG:2154"))), (Some(9794), false));
+}
+
+#[test]
+fn national_systems_are_known_as_esri_writes_them() {
+    let swiss = [
+        ("False_Easting", 2_600_000.0),
+        ("False_Northing", 1_200_000.0),
+        ("Scale_Factor", 1.0),
+        ("Azimuth", 90.0),
+        ("Longitude_Of_Center", 7.439_583_333_333_333),
+        ("Latitude_Of_Center", 46.952_405_555_555_565),
+    ];
+    assert_eq!(crs(&esri("D_CH1903+", BESSEL, "Hotine_Oblique_Mercator_Azimuth_Center", &swiss)).epsg(), Some(2056));
+    let dutch = [
+        ("False_Easting", 155_000.0),
+        ("False_Northing", 463_000.0),
+        ("Central_Meridian", 5.387_638_888_888_889),
+        ("Scale_Factor", 0.999_907_9),
+        ("Latitude_Of_Origin", 52.156_160_555_555_55),
+    ];
+    assert_eq!(crs(&esri("D_Amersfoort", BESSEL, "Double_Stereographic", &dutch)).epsg(), Some(28992));
+    let czech = |x_scale: f64| {
+        let parameters = [
+            ("False_Easting", 0.0),
+            ("False_Northing", 0.0),
+            ("Pseudo_Standard_Parallel_1", 78.5),
+            ("Scale_Factor", 0.9999),
+            ("Azimuth", 30.288_139_752_777_78),
+            ("Longitude_Of_Center", 24.833_333_333_333_33),
+            ("Latitude_Of_Center", 49.5),
+            ("X_Scale", x_scale),
+            ("Y_Scale", 1.0),
+            ("XY_Plane_Rotation", 90.0),
+        ];
+        Stated::of_prj(esri("D_S_JTSK", BESSEL, "Krovak", &parameters).as_bytes())
+    };
+    assert!(czech(-1.0).agrees_with(&Stated::from_epsg(5514, None).unwrap()));
+    assert_eq!(czech(1.0).kind, Kind::WestSouth);
+    let french = [
+        ("False_Easting", 600_000.0),
+        ("False_Northing", 200_000.0),
+        ("Central_Meridian", 2.337_229_166_666_667),
+        ("Standard_Parallel_1", 46.8),
+        ("Scale_Factor", 0.999_877_42),
+        ("Latitude_Of_Origin", 46.8),
+    ];
+    let cone = esri("D_NTF", [6_378_249.2, 293.466_021_293_626_5], "Lambert_Conformal_Conic", &french);
+    let tangent = cone.replace("PARAMETER[\"Standard_Parallel_1\",46.8],", "");
+    assert!(Stated::of_prj(cone.as_bytes()).agrees_with(&Stated::of_prj(tangent.as_bytes())));
+}
+
+#[test]
+fn axes_to_the_west_or_south_are_refused() {
+    for code in [2048, 5513, 2065] {
+        let stated = Stated::from_epsg(code, None).unwrap();
+        assert_eq!(stated.kind, Kind::WestSouth, "EPSG:{code}");
+        let error = settled(Some(stated), None, None).0.unwrap_err();
+        assert!(error.message.contains("to the west or south"), "{error}");
+    }
+    // Northing before easting is another order of the same numbers, and polar maps have axes that all point south.
+    for code in [5514, 31468, 3413, 3031] {
+        assert_eq!(Stated::from_epsg(code, None).unwrap().kind, Kind::Projected, "EPSG:{code}");
+    }
+}
+
+#[test]
+fn statements_of_heights_must_agree() {
+    let stated = |height| Stated::from_epsg(25832, height).unwrap();
+    let error = settled(Some(stated(Some(7837))), Some("EPSG:25832+5773"), None).0.unwrap_err();
+    assert!(error.message.contains("two coordinate reference systems"), "{error}");
+    assert!(settled(Some(stated(Some(7837))), Some("EPSG:25832"), None).0.is_ok());
+    assert!(settled(Some(stated(None)), Some("EPSG:25832+7837"), None).0.is_ok());
+}
+
+#[test]
+fn numbers_that_cannot_be_of_a_system_are_warned_of() {
+    let warned =
+        |code: u32, x: f64, y: f64| settled(Some(Stated::from_epsg(code, None).unwrap()), None, Some([x, y, 300.0])).1;
+    assert_eq!(warned(25832, 691_000.0, 5_334_000.0), Vec::<String>::new());
+    assert_eq!(warned(31468, 4_468_000.0, 5_334_000.0), Vec::<String>::new());
+    assert_eq!(warned(2154, 1_000_000.0, 6_300_000.0), Vec::<String>::new());
+    assert_eq!(warned(5514, -740_000.0, -1_040_000.0), Vec::<String>::new());
+    assert_eq!(warned(3031, -2_600_000.0, 1_900_000.0), Vec::<String>::new());
+    assert!(warned(25832, 5_334_000.0, 691_000.0)[0].contains("swapped"));
+    assert!(warned(2056, 691_000.0, 5_334_000.0)[0].contains("EPSG:2056"));
+    assert!(warned(25832, 11.5, 48.1)[0].contains("degrees"));
+    // Feet are told in metres.
+    assert_eq!(warned(2229, 6_480_000.0, 1_840_000.0).len(), 1);
+}
+
+#[test]
+fn a_unit_without_a_model_is_that_of_a_local_system() {
+    let stated = |unit: u16| GeoKeys { directory: &[1, 1, 0, 1, 3076, 0, 1, unit], doubles: &[], ascii: "" }.stated();
+    let feet = stated(9003).unwrap();
+    assert_eq!((feet.kind, feet.node.is_none()), (Kind::Local, true));
+    assert_eq!(stated(9001), None);
+    let (settled, warnings, _) = settled(Some(feet), None, None);
+    assert!((settled.unwrap().horizontal - 1200.0 / 3937.0).abs() < 1e-15 && warnings.len() == 1, "{warnings:?}");
+}
+
+#[test]
+fn a_prj_may_have_heights_after_the_map_and_be_utf_16() {
+    let heights = r#"VERTCS["EGM96_Geoid",VDATUM["EGM96_Geoid"],PARAMETER["Vertical_Shift",0.0],PARAMETER["Direction",1.0],UNIT["Foot_US",0.3048006096012192]]"#;
+    let text = format!("{ESRI},{heights}");
+    let stated = Stated::of_prj(text.as_bytes());
+    assert_eq!((stated.kind, stated.vertical_unit.as_ref().map(Unit::is_metre)), (Kind::Projected, Some(false)));
+    let wide: Vec<u8> = std::iter::once(0xfeff).chain(text.encode_utf16()).flat_map(u16::to_le_bytes).collect();
+    assert_eq!(Stated::of_prj(&wide), stated);
+    assert_eq!(Stated::of_prj(format!("{ESRI},{ESRI}").as_bytes()).kind, Kind::Unknown);
 }

@@ -43,6 +43,8 @@ params! {
 const HEAD: u64 = 256;
 /// A principal distance below this share of the width (a field of view above 118 degrees) is rarely meant.
 const LEAST_USUAL_F_PER_WIDTH: f64 = 0.3;
+/// Largest side of an image, pixels.
+const LARGEST_PX: u32 = 1_000_000;
 
 /// Reads sensors, oriented images and the joint covariance of their orientation parameters.
 pub struct ImportCameras;
@@ -72,6 +74,7 @@ impl Stage for ImportCameras {
         for warning in &file.warnings {
             context.warn(warning.as_str());
         }
+        check_sizes(&params.path.0, &file.cameras)?;
         warn_of_short_focal_lengths(&file.cameras, context);
         let mut covariance = covariance(params, &file, context)?;
         name_as_items(&mut file.cameras, &mut covariance, context)?;
@@ -111,6 +114,17 @@ fn to_metres(file: &mut CameraFile, params: &ImportCamerasParams, context: &Cont
         }
     }
     Ok(())
+}
+
+/// Refuses sensors that no image is as large as, whose rays would need as much memory.
+fn check_sizes(path: &str, cameras: &Cameras) -> Result<(), StageError> {
+    match cameras.sensors.iter().find(|sensor| sensor.width_px.max(sensor.height_px) > LARGEST_PX) {
+        None => Ok(()),
+        Some(sensor) => Err(StageError::new(format!(
+            "`{path}`: sensor `{}` has {} x {} pixels, more than {LARGEST_PX} on a side: is it its size in pixels?",
+            sensor.name, sensor.width_px, sensor.height_px
+        ))),
+    }
 }
 
 fn warn_of_short_focal_lengths(cameras: &Cameras, context: &Context) {

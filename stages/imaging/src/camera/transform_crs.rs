@@ -86,7 +86,7 @@ fn taken(params: &TransformCrsParams, frame: Frame, earlier: &Transform) -> Resu
 impl Stage for TransformCrs {
     type Params = TransformCrsParams;
     const NAME: &'static str = "transform-crs";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: Page = Page::new(include_str!("transform_crs.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("mesh", &[Kind::Mesh], "The face, triangles counter-clockwise seen from outside the rock."),

@@ -29,6 +29,10 @@ impl Matching {
     }
 }
 
+/// Determinant of the normal equations of a point over the cube of their mean diagonal, from which on its rays count as parallel: a base of less than about
+/// a millionth of the distance.
+const LEAST_ANGLE: f64 = 1e-12;
+
 /// The expected precision at a point.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Expected {
@@ -59,6 +63,10 @@ pub fn at_point(
     }
     let gsd_m = gsd / cameras.len() as f64;
     let sigma_px = matching.disparity_px(gsd_m) / std::f64::consts::SQRT_2;
+    let mean = normal.trace() / 3.0;
+    if normal.determinant() <= LEAST_ANGLE * mean * mean * mean {
+        return None;
+    }
     let spread = direction.dot(&(normal.try_inverse()? * direction));
     (spread > 0.0 && spread.is_finite()).then(|| Expected { gsd_m, matching_m: sigma_px * spread.sqrt() })
 }
@@ -160,5 +168,13 @@ mod tests {
         assert_eq!(joint.matrix.nrows(), 13);
         let found = [joint.matrix[(12, 12)], joint.matrix[(11, 12)], joint.matrix[(11, 11)], joint.matrix[(0, 0)]];
         assert!(found.iter().zip([4.0, 0.5, 1.0, 0.0]).all(|(a, b)| (a - b).abs() < 1e-15));
+    }
+
+    #[test]
+    fn rays_without_an_angle_say_nothing_of_a_point() {
+        let matching = Matching { local_px: 0.3, regular_px: 0.4, cell_m: 0.02 };
+        assert!(at(&cameras(2, 0.0), [2.0, 0.0, 0.0], &matching).is_none());
+        // A base of a ten-thousandth of the distance is poor, and a base.
+        assert!(at(&cameras(2, 2e-3), [2.0, 0.0, 0.0], &matching).is_some());
     }
 }

@@ -131,7 +131,7 @@ fn framed(
         return Ok(own.unwrap_or(Frame::Wall));
     }
     let stated = [cloud.stated.take(), prj.map(Stated::of_prj)];
-    let first = cloud.points.first().copied();
+    let first = placing::first(&cloud.points, params.offset_m);
     let settled = settle(&params.path.0, stated, params.crs.as_ref(), (tool, first), context)?;
     placing::check_unit(&params.path.0, params.unit_m, &settled)?;
     if !settled.keeps_coordinates() {

@@ -133,8 +133,8 @@ fn framed(
     if params.frame == FileFrame::Wall {
         return Ok(Frame::Wall.at(mesh.frame.georeference().filter(|_| mesh.frame == Frame::Wall).cloned()));
     }
-    let own = mesh.frame.georeference().map(|georeference| Stated::of_crs(&georeference.crs));
-    let about = (Tool::Other, mesh.vertices.first().copied());
+    let own = mesh.frame.georeference().and_then(|georeference| georeference.crs.as_ref()).map(Stated::of_crs);
+    let about = (Tool::Other, placing::first(&mesh.vertices, params.offset_m));
     let settled = settle(&params.path.0, [own, prj.map(Stated::of_prj)], params.crs.as_ref(), about, context)?;
     placing::check_unit(&params.path.0, params.unit_m, &settled)?;
     if !settled.keeps_coordinates() {

@@ -18,6 +18,11 @@ pub fn shift(points: &mut [[f64; 3]], offset_m: [f64; 3]) {
     }
 }
 
+/// The first point with its shift, which tells whether the file can be in a system.
+pub fn first(points: &[[f64; 3]], offset_m: [f64; 3]) -> Option<[f64; 3]> {
+    points.first().map(|point| std::array::from_fn(|axis| point[axis] + offset_m[axis]))
+}
+
 fn is_given(unit_m: f64) -> bool {
     unit_m.to_bits() != 1f64.to_bits()
 }

@@ -141,7 +141,7 @@ fn to_metres(
     transform: Option<&Transform>,
     context: &Context,
 ) -> Result<Option<Frame>, StageError> {
-    let own = mesh.frame.georeference().map(|georeference| Stated::of_crs(&georeference.crs));
+    let own = mesh.frame.georeference().and_then(|georeference| georeference.crs.as_ref()).map(Stated::of_crs);
     if own.is_none() && params.crs.is_none() {
         return Ok(None);
     }
@@ -153,7 +153,7 @@ fn to_metres(
     {
         fail!("`{file}` is in {crs}, but `transform` in {of_transform}: two coordinate reference systems in one step");
     }
-    let georeference = settled.crs.map(|crs| Georeference { crs, wall_from_world: transform.cloned() });
+    let georeference = settled.crs.map(|crs| Georeference { crs: Some(crs), wall_from_world: transform.cloned() });
     let axes = if transform.is_some() { Frame::Wall } else { Frame::World };
     Ok(georeference.map(|georeference| axes.at(Some(georeference))))
 }

@@ -90,7 +90,8 @@ pub fn stated(bytes: &[u8], inventory: &Inventory, overruled: bool) -> Option<St
         .then(|| Stated { kind: Kind::Geographic, ..Stated::local(UNSTATED, None) })
 }
 
-/// `urn:ogc:def:crs:EPSG::28356`, `EPSG:28356`, `urn:ogc:def:crs:OGC:1.3:CRS84`, or well-known text.
+/// `urn:ogc:def:crs:EPSG::28356`, `http://www.opengis.net/def/crs/EPSG/0/28356`, `urn:ogc:def:crs,crs:EPSG::28356,crs:EPSG::5711`, `EPSG:28356`,
+/// `urn:ogc:def:crs:OGC:1.3:CRS84`, or well-known text.
 fn named(name: &str) -> Stated {
     if name.contains('[') {
         return Stated::of_prj(name.as_bytes());
@@ -98,8 +99,14 @@ fn named(name: &str) -> Stated {
     if name.ends_with("CRS84") || name.ends_with("CRS84h") {
         return Stated { kind: Kind::Geographic, ..Stated::local("WGS 84, OGC:CRS84", None) };
     }
-    let code = name.rsplit(':').next().and_then(|code| code.parse().ok()).filter(|_| name.contains("EPSG"));
-    let stated = code.map(|code| Stated::from_epsg(code, None));
+    let code = |part: &str| part.rsplit([':', '/']).next().and_then(|code| code.parse().ok());
+    let codes: Option<Vec<u32>> =
+        name.split(',').filter(|part| part.contains("EPSG")).map(code).collect::<Option<Vec<u32>>>();
+    let stated = match codes.as_deref() {
+        Some([code]) => Some(Stated::from_epsg(*code, None)),
+        Some([code, height]) => Some(Stated::from_epsg(*code, Some(*height))),
+        _ => None,
+    };
     stated.unwrap_or_else(|| Err(format!("`{name}`"))).unwrap_or_else(Stated::unknown)
 }
 
@@ -187,5 +194,15 @@ mod tests {
         let text =
             r#"{"features": [{"geometry": {"type": "Polygon", "coordinates": [[[0, 0], [1, 0], [1, 1], [0, 1]]]}}]}"#;
         assert!(read(text.as_bytes()).unwrap_err().0.contains("feature 0 (counted from 0): a ring that is not closed"));
+    }
+
+    #[test]
+    fn names_of_systems_in_several_forms_are_read() {
+        for name in ["EPSG:25832", "urn:ogc:def:crs:EPSG::25832", "http://www.opengis.net/def/crs/EPSG/0/25832"] {
+            assert_eq!(named(name), Stated::from_epsg(25832, None).unwrap(), "{name}");
+        }
+        let compound = named("urn:ogc:def:crs,crs:EPSG::25832,crs:EPSG::7837");
+        assert_eq!(compound, Stated::from_epsg(25832, Some(7837)).unwrap());
+        assert_eq!(named("urn:ogc:def:crs,crs:EPSG::25832,crs:EPSG::0").kind, Kind::Unknown);
     }
 }

@@ -20,7 +20,7 @@ pub struct RasteriseInventory;
 impl Stage for RasteriseInventory {
     type Params = RasteriseInventoryParams;
     const NAME: &'static str = "rasterise-inventory";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: Page = Page::new(include_str!("rasterise_inventory.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("grid", &[Kind::Raster], "Any raster on the grid wanted."),
@@ -37,7 +37,8 @@ impl Stage for RasteriseInventory {
         let features = labelled(inventory, params.label.as_deref())?;
         let values = burn(&features, &model.grid);
         let covered = values.iter().filter(|value| **value > 0.0).count();
-        if covered == 0 {
+        // The truth of a survey in which nothing happened has no features.
+        if covered == 0 && !features.is_empty() {
             let count = features.len();
             fail!(
                 "none of the {count} features covers the centre of a cell: is the inventory in the frame of the grid?"
@@ -106,5 +107,16 @@ mod tests {
         assert!(error(&SQUARE, Frame::Wall, json!({"label": "volume"})).contains("feature 1: `volume`"));
         let far = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]];
         assert!(error(&far, Frame::Wall, json!({})).contains("frame of the grid"));
+    }
+
+    #[test]
+    fn an_inventory_without_features_is_a_raster_of_zeros() {
+        let grid = Grid { columns: 4, rows: 3, cell_m: 1.0, left_m: 10.0, top_m: 3.0 };
+        let raster = Raster::single(grid, Frame::Wall, "difference", "d", vec![0.5; 12]);
+        let inventory = Inventory { frame: Frame::Wall, columns: vec!["id".into()], features: Vec::new() };
+        let inputs = [("grid", raster.into()), ("inventory", inventory.into())];
+        let outputs = run_stage::<RasteriseInventory>(&TestHost::default(), &json!({}), &inputs).unwrap();
+        let Artefact::Raster(found) = &outputs.into_inner()["raster"] else { panic!("a raster comes out") };
+        assert_eq!(found.bands[0].values, [0.0; 12]);
     }
 }

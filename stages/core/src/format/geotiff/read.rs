@@ -7,8 +7,8 @@ use tiff::tags::{PlanarConfiguration, Tag};
 
 use super::tags::{GDAL_METADATA, Metadata, Placement, Scaling};
 use crate::artefact::{Band, CodecError, Frame, Grid, Raster, Sample};
-use crate::crs::Stated;
 use crate::crs::geo_keys::GeoKeys;
+use crate::crs::{Kind, Stated};
 use crate::limits;
 
 type File<'a> = Decoder<Cursor<&'a [u8]>>;
@@ -91,9 +91,12 @@ pub fn read_system(bytes: &[u8]) -> Result<System, CodecError> {
     let doubles = file.get_tag_f64_vec(Tag::GeoDoubleParamsTag).unwrap_or_default();
     let texts = ascii(&mut file, Tag::GeoAsciiParamsTag).unwrap_or_default();
     let keys = GeoKeys { directory: &placement.keys, doubles: &doubles, ascii: &texts };
-    let stated = keys.stated();
+    let frame = metadata(&mut file).placed();
+    // Of a code that is not known here our own files have the definition too.
+    let own = || frame.and_then(Frame::crs).map(Stated::of_crs);
+    let stated = keys.stated().map(|stated| own().filter(|_| stated.kind == Kind::Unknown).unwrap_or(stated));
     let corner = placement.corner().ok().map(|[_, _, left, top]| [left, top, 0.0]);
-    Ok(System { frame: metadata(&mut file).placed(), stated, corner })
+    Ok(System { frame, stated, corner })
 }
 
 fn opened(bytes: &[u8]) -> Result<File<'_>, CodecError> {

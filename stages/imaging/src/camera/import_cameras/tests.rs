@@ -136,6 +136,16 @@ fn a_focal_length_in_millimetres_is_warned_of() {
 }
 
 #[test]
+fn a_sensor_larger_than_any_is_refused() {
+    let files: [(&str, &[u8]); 2] = [
+        ("cameras.txt", b"1 PINHOLE 4000000000 4000 5000 5000 3000 2000"),
+        ("images.txt", b"1 1 0 0 0 0 0 0 1 a.png\n\n"),
+    ];
+    let error = import(&TestHost::default().with("model", &files), &json!({"path": "model"})).unwrap_err();
+    assert!(error.message.contains("4000000000 x 4000 pixels"), "{error}");
+}
+
+#[test]
 fn blocks_of_a_metashape_file_are_warned_of() {
     let Some(host) = outcrop() else { return };
     let (cameras, full) =

@@ -1,0 +1,63 @@
+//! Which way a face looks. Detectors tell rock from air along Z: out of the wall in the wall frame, upwards in the world frame.
+
+use nalgebra::Vector3;
+
+use rockface_core::StageError;
+use rockface_core::artefact::Frame;
+use rockface_core::numerics::portable_math;
+use rockface_raster::shape::Shape;
+
+/// Least vertical part of the mean normal of a face whose distances are measured at points seen from above: a dip of 60 degrees.
+pub const POINTS_FROM_ABOVE: f64 = 0.5;
+/// Least vertical part of the mean normal of a face that encloses volumes which lie above or below it: a dip of 85 degrees.
+pub const VOLUMES_BELOW: f64 = 0.087;
+
+/// Refuses a face in the world frame whose mean normal has less of the vertical, so that rock would be missed or taken for air. A cloud, which has no
+/// triangles, is let pass.
+///
+/// # Errors
+/// How the face lies.
+pub fn check(port: &str, shape: Shape, least_upwards: f64) -> Result<(), StageError> {
+    if shape.frame() != Frame::World {
+        return Ok(());
+    }
+    let mut normal = Vector3::zeros();
+    for strip in 0..shape.strips() {
+        shape.for_each_triangle(strip, |places| {
+            let [a, b, c] = places.map(|place| Vector3::from(shape.point(place, None)));
+            normal += (b - a).cross(&(c - a));
+        });
+    }
+    let length = normal.norm();
+    if length > 0.0 && normal.z < least_upwards * length {
+        let dip = portable_math::atan2(normal.xy().norm(), normal.z).to_degrees();
+        let lies = if dip > 90.0 { format!("overhangs by {:.0}", dip - 90.0) } else { format!("dips by {dip:.0}") };
+        return Err(StageError::new(format!(
+            "the face of `{port}` {lies} degrees and is in the world frame, where rock is told from air by the vertical: change would be missed, or loss \
+             taken for gain"
+        ))
+        .hint("bring both epochs into the wall frame with one `transform` of `transform-crs`"));
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rockface_core::artefact::Mesh;
+
+    fn checked(frame: Frame, up: [f64; 3]) -> Result<(), StageError> {
+        let vertices = vec![[0.0; 3], [1.0, 0.0, 0.0], up];
+        let mesh = Mesh { frame, vertices, triangles: vec![[0, 1, 2]], colours: Vec::new() };
+        check("reference", Shape::Mesh(&mesh), POINTS_FROM_ABOVE)
+    }
+
+    #[test]
+    fn steep_faces_are_measured_in_the_wall_frame() {
+        assert!(checked(Frame::World, [0.0, 1.0, 0.5]).is_ok());
+        assert!(checked(Frame::Wall, [0.0, 0.1, 1.0]).is_ok());
+        assert!(checked(Frame::World, [0.0, 0.1, 1.0]).unwrap_err().message.contains("dips by 84"));
+        let over = checked(Frame::World, [0.0, -0.1, 1.0]).unwrap_err();
+        assert!(over.message.contains("overhangs by 6") && over.hint.unwrap().contains("transform-crs"));
+    }
+}
