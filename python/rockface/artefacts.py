@@ -68,7 +68,7 @@ class Georeference:
     """Where a frame lies on the Earth, or on its site where that is in no known place on it."""
 
     crs: str | None
-    """The coordinate reference system of the world frame, such as `EPSG:28356`; or its well-known text; nothing where none is stated."""
+    """The coordinate reference system of the world frame, such as `EPSG:28356`, or its well-known text, if one is stated."""
     wall_from_world: Mapping[str, Any] | None = None
     """How the wall frame lies in the world frame: `rotation`, `origin` and `translation`; nothing for the world frame itself."""
 

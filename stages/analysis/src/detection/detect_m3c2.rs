@@ -75,7 +75,8 @@ impl Stage for DetectM3c2 {
         if frame != comparison.frame() {
             fail!("the reference is in the {frame} frame, the comparison in the {} frame", comparison.frame());
         }
-        facing::check("reference", reference, facing::POINTS_FROM_ABOVE)?;
+        let warning = facing::check("reference", reference, facing::POINTS_FROM_ABOVE)?;
+        warning.into_iter().for_each(|text| context.warn(text));
         let grid = grid(params, reference, inputs)?;
         let moved = inputs.optional::<Transform>("transform")?.and_then(Moved::by);
         let side = params.projection_radius_m;

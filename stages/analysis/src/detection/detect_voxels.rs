@@ -72,7 +72,8 @@ impl Stage for DetectVoxels {
         if frame != comparison.frame() {
             fail!("the reference is in the {frame} frame, the comparison in the {} frame", comparison.frame());
         }
-        facing::check("reference", reference, facing::VOLUMES_BELOW)?;
+        let warning = facing::check("reference", reference, facing::VOLUMES_BELOW)?;
+        warning.into_iter().for_each(|text| context.warn(text));
         let moved = inputs.optional::<Transform>("transform")?.and_then(Moved::by);
         let voxels = Voxels::new([reference, comparison], moved.as_ref(), params.voxel_m)
             .map_err(|e| e.hint("choose a larger `voxel_m`; are both surfaces in metres?"))?;

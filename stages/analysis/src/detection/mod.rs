@@ -11,7 +11,7 @@ pub mod clusters;
 pub mod compared;
 pub mod detectability;
 pub mod facing;
-mod found;
+pub mod found;
 pub mod limit;
 pub mod m3c2;
 pub mod raster;

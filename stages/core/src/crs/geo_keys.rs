@@ -122,8 +122,8 @@ impl GeoKeys<'_> {
     /// What the keys state; `None` where they state no system.
     pub fn stated(&self) -> Option<Stated> {
         let own = |key: u16| self.code(key).filter(|code| *code != USER_DEFINED).map(u32::from);
-        let Some(model) = self.code(MODEL_TYPE) else {
-            // Without a model keys state no more than a unit.
+        let Some(model) = self.code(MODEL_TYPE).or_else(|| own(PROJECTED).map(|_| 1)) else {
+            // Without a model and a code keys state no more than a unit.
             return self.unit().filter(|unit| !unit.is_metre()).map(|unit| Stated::local(&self.name(), Some(unit)));
         };
         if let Some(text) = self.pe_string().filter(|_| own(PROJECTED).is_none()) {

@@ -36,7 +36,7 @@ impl ParamType for CrsName {
         match stated.kind {
             Kind::Projected => Ok(name),
             Kind::Geographic | Kind::Geocentric | Kind::WorldMap | Kind::WestSouth => Err(vec![Fault::new(format!(
-                "{}: a system in metres to the east and north is needed, such as the UTM zone of the site; reproject the file first",
+                "{}: a system in metres is needed, with axes to the east and north, such as the UTM zone of the site; reproject the file first",
                 sort_of(&stated)
             ))]),
             _ => Err(vec![Fault::new(format!("`{}` is no system of map coordinates", stated.name))]),
@@ -131,6 +131,14 @@ pub fn settle(
     context: &Context,
 ) -> Result<Settled, StageError> {
     let given = given.map(CrsName::stated).transpose().map_err(StageError::new)?;
+    // A unit alone is part of what else is stated in it.
+    let says_unit = |other: &Option<Stated>| {
+        let units = other.as_ref().zip(file.as_ref()).map(|(other, file)| (&other.unit, &file.unit));
+        units.is_some_and(|(other, own)| other == own)
+    };
+    let is_part =
+        file.as_ref().is_some_and(|stated| stated.kind == Kind::Local) && (says_unit(&beside) || says_unit(&given));
+    let file = file.filter(|_| !is_part);
     let is_local = file.as_ref().is_some_and(|stated| stated.kind == Kind::Local);
     let statements = [
         (
@@ -183,10 +191,16 @@ pub fn settle(
     Ok(converted(path, &stated, context))
 }
 
-/// Farthest from the false origin of a map that places of a zone are, and those of maps of countries, metres.
-const FARTHEST_M: [f64; 2] = [1.5e6, 6e6];
-/// Farthest north or south, metres: the quarter of a meridian.
-const QUARTER_M: f64 = 1.01e7;
+/// Projections whose false origin is within what they map, and how far to its east or west places are at most, metres: zones, and maps of countries.
+const FARTHEST_M: [(&str, f64); 5] = [
+    ("transversemercator", 1.5e6),
+    ("obliquestereographic", 1.5e6),
+    ("hotineobliquemercatorazimuthcenter", 1.5e6),
+    ("swissobliquecylindrical", 1.5e6),
+    ("lambertconformalconic", 6e6),
+];
+/// Farthest to the north or south, metres: more than the quarter of a meridian.
+const QUARTER_M: f64 = 1.1e7;
 /// A false easting that degrees are not mistaken for.
 const LEAST_FALSE_M: f64 = 1000.0;
 
@@ -196,14 +210,16 @@ fn far_off(path: &str, stated: &Stated, [x, y, _]: [f64; 3]) -> Option<String> {
     let (plane, _) = parts(node);
     let metres = stated.unit.as_ref().map_or(1.0, |unit| unit.metres);
     let [false_x, false_y] = super::signature::false_origin(plane);
-    let projection = super::signature::plain(super::signature::method(plane).map_or("", super::wkt::Node::name));
-    let is_zone = ["transversemercator", "obliquemercator", "gausskruger"].iter().any(|zone| projection.contains(zone));
-    let [x_m, y_m] = [(x - false_x) * metres, (y - false_y) * metres];
+    let [x_m, y_m] = [x * metres - false_x, y * metres - false_y];
     let name = &stated.name;
     if x.abs() <= 180.0 && y.abs() <= 90.0 && false_x.abs().max(false_y.abs()) > LEAST_FALSE_M {
-        return Some(format!("`{path}` has a point at {x}, {y}, which look like degrees, but is said to be in {name}"));
+        return Some(format!(
+            "`{path}` has a point at {x}, {y}, which are degrees, or have lost a shift (`offset_m`), but is said to be in {name}"
+        ));
     }
-    let far = x_m.abs() > FARTHEST_M[usize::from(!is_zone)] || y_m.abs() > QUARTER_M;
+    let projection = super::signature::projection(plane);
+    let (_, farthest_m) = FARTHEST_M.iter().find(|(known, _)| projection == *known)?;
+    let far = x_m.abs() > *farthest_m || y_m.abs() > QUARTER_M;
     far.then(|| {
         format!(
             "`{path}` has a point at {x:.0}, {y:.0}, which lies {:.0} km to the east and {:.0} km to the north of the false origin of {name}: are easting \

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::wkt::{Argument, Node};
-use super::{Kind, datums};
+use super::{Kind, Unit, datums};
 
 /// Names of parameters of WKT 2, and those of WKT 1 for the same.
 const PARAMETERS: &[(&str, &str)] = &[
@@ -14,6 +14,15 @@ const PARAMETERS: &[(&str, &str)] = &[
     ("longitudeoffalseorigin", "centralmeridian"),
     ("longitudeofcenter", "centralmeridian"),
     ("longitudeoforigin", "centralmeridian"),
+    ("latitudeofprojectioncentre", "latitudeoforigin"),
+    ("longitudeofprojectioncentre", "centralmeridian"),
+    ("azimuthatprojectioncentre", "azimuth"),
+    ("azimuthofinitialline", "azimuth"),
+    ("anglefromrectifiedtoskewgrid", "rectifiedgridangle"),
+    ("scalefactoratprojectioncentre", "scalefactor"),
+    ("scalefactoroninitialline", "scalefactor"),
+    ("eastingatprojectioncentre", "falseeasting"),
+    ("northingatprojectioncentre", "falsenorthing"),
     ("scalefactoratnaturalorigin", "scalefactor"),
     ("eastingatfalseorigin", "falseeasting"),
     ("northingatfalseorigin", "falsenorthing"),
@@ -29,9 +38,12 @@ const PROJECTIONS: &[(&str, &str)] = &[
     ("lambertconicconformal1sp", "lambertconformalconic"),
     ("lambertconicconformal2sp", "lambertconformalconic"),
     ("albers", "albersconicequalarea"),
+    ("albersequalarea", "albersconicequalarea"),
     ("cassini", "cassinisoldner"),
     ("doublestereographic", "obliquestereographic"),
     ("hotineobliquemercatorazimuthnaturalorigin", "hotineobliquemercator"),
+    ("hotineobliquemercatorvarianta", "hotineobliquemercator"),
+    ("hotineobliquemercatorvariantb", "hotineobliquemercatorazimuthcenter"),
     ("stereographicnorthpole", "polarstereographic"),
     ("stereographicsouthpole", "polarstereographic"),
     ("polarstereographicvarianta", "polarstereographic"),
@@ -47,11 +59,14 @@ pub fn of(node: &Node) -> Option<String> {
     let base = node.child(&["GEOGCS", "BASEGEOGCRS", "BASEGEODCRS"])?;
     let datum = base.child(&["DATUM", "ENSEMBLE", "GEODETICDATUM", "TRF"])?;
     let ellipsoid = datum.child(&["SPHEROID", "ELLIPSOID"])?;
-    let (conversion, method) = (node.child(&["CONVERSION"]), method(node)?);
+    method(node)?;
     let meridian = base.child(&["PRIMEM"]).or_else(|| node.child(&["PRIMEM"])).and_then(|node| node.number(1));
-    let parameters = conversion.unwrap_or(node).nodes().filter(|child| child.keyword == "PARAMETER");
-    let mut parameters: BTreeMap<String, f64> = parameters.filter_map(parameter).collect();
-    let mut projection = known(PROJECTIONS, &plain(method.name())).to_owned();
+    let mut parameters = parameters(node);
+    let mut projection = projection(node);
+    // Of Krovak's without axes nothing says whether they count to the south and west, as they were made to, or to the east and north.
+    if projection == "krovak" && !parameters.contains_key("xscale") && node.child(&["AXIS"]).is_none() {
+        return None;
+    }
     one_dialect(&mut projection, &mut parameters);
     let values: Vec<String> = parameters.iter().filter_map(|(name, value)| told(name, *value)).collect();
     let unit = super::stated::linear_unit(node)?.metres;
@@ -85,15 +100,32 @@ pub fn points_west(node: &Node) -> bool {
         || projection == "krovak" && node.nodes().any(|child| child.keyword == "PARAMETER" && is_positive(child))
 }
 
-/// What is added to the eastings and northings of a system, in its unit.
+/// What is added to the eastings and northings of a system, metres.
 pub fn false_origin(node: &Node) -> [f64; 2] {
-    let parameters = node.child(&["CONVERSION"]).unwrap_or(node).nodes().filter(|child| child.keyword == "PARAMETER");
-    let values: BTreeMap<String, f64> = parameters.filter_map(parameter).collect();
-    ["falseeasting", "falsenorthing"].map(|name| values.get(name).copied().unwrap_or(0.0))
+    let values = parameters(node);
+    LENGTHS.map(|name| values.get(name).copied().unwrap_or(0.0))
 }
 
-fn parameter(node: &Node) -> Option<(String, f64)> {
-    Some((known(PARAMETERS, &plain(node.name())).to_owned(), node.number(1)?))
+/// The projection of a system by the name all dialects are compared by.
+pub fn projection(node: &Node) -> String {
+    method(node).map_or_else(String::new, |method| known(PROJECTIONS, &plain(method.name())).to_owned())
+}
+
+/// Parameters that are lengths.
+const LENGTHS: [&str; 2] = ["falseeasting", "falsenorthing"];
+
+/// The parameters of a projection by the names all dialects are compared by; lengths in metres, which are in the unit of the system where they have none
+/// of their own.
+fn parameters(node: &Node) -> BTreeMap<String, f64> {
+    let of_system = super::stated::linear_unit(node).map_or(1.0, |unit| unit.metres);
+    let one = |child: &Node| {
+        let (name, value) = (known(PARAMETERS, &plain(child.name())).to_owned(), child.number(1)?);
+        let own = child.child(&["LENGTHUNIT", "UNIT"]).and_then(Unit::of).map(|unit| unit.metres);
+        let metres = if LENGTHS.contains(&name.as_str()) { own.unwrap_or(of_system) } else { 1.0 };
+        Some((name, value * metres))
+    };
+    let all = node.child(&["CONVERSION"]).unwrap_or(node).nodes().filter(|child| child.keyword == "PARAMETER");
+    all.filter_map(one).collect()
 }
 
 /// A parameter that is not at the value it has when it is left out.
@@ -103,6 +135,8 @@ fn told(name: &str, value: f64) -> Option<String> {
         // Files round it.
         "azimuth" => Some(format!("{name}={value:.6e}")),
         _ if value.abs() < 1e-12 => None,
+        // A system made of one in feet has that of the system in metres to a tenth of a millimetre.
+        _ if LENGTHS.contains(&name) => Some(format!("{name}={value:.3}")),
         _ => Some(format!("{name}={value:.8e}")),
     }
 }

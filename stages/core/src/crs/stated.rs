@@ -130,7 +130,7 @@ impl Stated {
         Self { name: why, kind: Kind::Unknown, ..Self::local("", None) }
     }
 
-    /// The system that the text of a `.prj` states: one, or after it that of heights, as ESRI writes it.
+    /// The system that the text of a `.prj` states: a code, one system, or after it that of heights, as ESRI writes it.
     pub fn of_prj(bytes: &[u8]) -> Self {
         let text = text_of(bytes);
         let text = text.trim_start_matches('\u{feff}').trim_end_matches('\0').trim();
@@ -139,6 +139,9 @@ impl Stated {
             let (horizontal, vertical) = parts(&both);
             Self::from_node(compound(horizontal, vertical.filter(|node| Kind::of(node) == Some(Kind::Vertical))?)).ok()
         };
+        if let Some((code, height)) = super::codes(text) {
+            return Self::from_epsg(code, height).unwrap_or_else(Self::unknown);
+        }
         Self::from_wkt(text).or_else(|why| of_two().ok_or(why)).unwrap_or_else(Self::unknown)
     }
 

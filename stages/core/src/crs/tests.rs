@@ -291,6 +291,10 @@ fn national_systems_are_known_as_esri_writes_them() {
     };
     assert!(czech(-1.0).agrees_with(&Stated::from_epsg(5514, None).unwrap()));
     assert_eq!(czech(1.0).kind, Kind::WestSouth);
+    // Without axes the text may mean either.
+    let plain = crs("EPSG:5514").wkt().replace(",AXIS[\"X\",EAST],AXIS[\"Y\",NORTH]", "");
+    let plain = plain.replace(",AUTHORITY[\"EPSG\",\"5514\"]", "");
+    assert!(!plain.contains("AXIS") && crs(&plain).epsg().is_none(), "{plain}");
     let french = [
         ("False_Easting", 600_000.0),
         ("False_Northing", 200_000.0),
@@ -339,6 +343,11 @@ fn numbers_that_cannot_be_of_a_system_are_warned_of() {
     assert!(warned(25832, 5_334_000.0, 691_000.0)[0].contains("swapped"));
     assert!(warned(2056, 691_000.0, 5_334_000.0)[0].contains("EPSG:2056"));
     assert!(warned(25832, 11.5, 48.1)[0].contains("degrees"));
+    // A system of WKT 2 has parameters of other names, and units of their own.
+    let swiss = r#"PROJCRS["CH1903+ / LV95",BASEGEOGCRS["CH1903+",DATUM["CH1903+",ELLIPSOID["Bessel 1841",6377397.155,299.1528128]]],CONVERSION["Swiss",METHOD["Hotine Oblique Mercator (variant B)"],PARAMETER["Latitude of projection centre",46.9524055555556],PARAMETER["Longitude of projection centre",7.43958333333333],PARAMETER["Azimuth of initial line",90],PARAMETER["Angle from Rectified to Skew Grid",90],PARAMETER["Scale factor on initial line",1],PARAMETER["Easting at projection centre",2600000,LENGTHUNIT["metre",1]],PARAMETER["Northing at projection centre",1200000,LENGTHUNIT["metre",1]]],CS[Cartesian,2],AXIS["easting (E)",east],AXIS["northing (N)",north],LENGTHUNIT["metre",1]]"#;
+    let stated = || Stated::of_prj(swiss.as_bytes());
+    assert!(stated().agrees_with(&Stated::from_epsg(2056, None).unwrap()));
+    assert_eq!(settled(Some(stated()), None, Some([2_660_000.0, 1_180_000.0, 900.0])).1, Vec::<String>::new());
     // Feet are told in metres.
     assert_eq!(warned(2229, 6_480_000.0, 1_840_000.0).len(), 1);
 }

@@ -104,7 +104,10 @@ fn named(name: &str) -> Stated {
         name.split(',').filter(|part| part.contains("EPSG")).map(code).collect::<Option<Vec<u32>>>();
     let stated = match codes.as_deref() {
         Some([code]) => Some(Stated::from_epsg(*code, None)),
-        Some([code, height]) => Some(Stated::from_epsg(*code, Some(*height))),
+        // Outlines have no heights.
+        Some([code, height]) => {
+            Some(Stated::from_epsg(*code, Some(*height)).or_else(|_| Stated::from_epsg(*code, None)))
+        }
         _ => None,
     };
     stated.unwrap_or_else(|| Err(format!("`{name}`"))).unwrap_or_else(Stated::unknown)
@@ -203,6 +206,7 @@ mod tests {
         }
         let compound = named("urn:ogc:def:crs,crs:EPSG::25832,crs:EPSG::7837");
         assert_eq!(compound, Stated::from_epsg(25832, Some(7837)).unwrap());
-        assert_eq!(named("urn:ogc:def:crs,crs:EPSG::25832,crs:EPSG::0").kind, Kind::Unknown);
+        assert_eq!(named("urn:ogc:def:crs,crs:EPSG::25832,crs:EPSG::1"), Stated::from_epsg(25832, None).unwrap());
+        assert_eq!(named("urn:ogc:def:crs,crs:EPSG::1,crs:EPSG::7837").kind, Kind::Unknown);
     }
 }
