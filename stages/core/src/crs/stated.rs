@@ -135,9 +135,9 @@ impl Stated {
         let text = text_of(bytes);
         let text = text.trim_start_matches('\u{feff}').trim_end_matches('\0').trim();
         let of_two = || {
-            let both = Node::parse(&format!("COMPD_CS[\"\",{text}]")).ok()?;
-            let (horizontal, vertical) = parts(&both);
-            Self::from_node(compound(horizontal, vertical.filter(|node| Kind::of(node) == Some(Kind::Vertical))?)).ok()
+            let (horizontal, vertical) = text.split_at(text.find("VERTCS[")?);
+            let horizontal = Node::parse(horizontal.trim_end().trim_end_matches(',')).ok()?;
+            Self::from_node(compound(&horizontal, &Node::parse(vertical).ok()?)).ok()
         };
         if let Some((code, height)) = super::codes(text) {
             return Self::from_epsg(code, height).unwrap_or_else(Self::unknown);

@@ -370,5 +370,7 @@ fn a_prj_may_have_heights_after_the_map_and_be_utf_16() {
     assert_eq!((stated.kind, stated.vertical_unit.as_ref().map(Unit::is_metre)), (Kind::Projected, Some(false)));
     let wide: Vec<u8> = std::iter::once(0xfeff).chain(text.encode_utf16()).flat_map(u16::to_le_bytes).collect();
     assert_eq!(Stated::of_prj(&wide), stated);
+    assert_eq!(Stated::of_prj(format!("{ESRI}\n{heights}\n").as_bytes()), stated);
+    assert_eq!(Stated::of_prj(b"EPSG:32633\n"), Stated::from_epsg(32633, None).unwrap());
     assert_eq!(Stated::of_prj(format!("{ESRI},{ESRI}").as_bytes()).kind, Kind::Unknown);
 }

@@ -134,6 +134,7 @@ fn framed(
     let first = placing::first(&cloud.points, params.offset_m);
     let settled = settle(&params.path.0, stated, params.crs.as_ref(), (tool, first), context)?;
     placing::check_unit(&params.path.0, params.unit_m, &settled)?;
+    placing::warning(&settled, &cloud.points).into_iter().for_each(|text| context.warn(text));
     if !settled.keeps_coordinates() {
         cloud.points.iter_mut().for_each(|point| *point = settled.point(*point));
     }

@@ -137,6 +137,7 @@ fn framed(
     let about = (Tool::Other, placing::first(&mesh.vertices, params.offset_m));
     let settled = settle(&params.path.0, [own, prj.map(Stated::of_prj)], params.crs.as_ref(), about, context)?;
     placing::check_unit(&params.path.0, params.unit_m, &settled)?;
+    placing::warning(&settled, &mesh.vertices).into_iter().for_each(|text| context.warn(text));
     if !settled.keeps_coordinates() {
         mesh.vertices.iter_mut().for_each(|vertex| *vertex = settled.point(*vertex));
     }
