@@ -41,8 +41,8 @@ impl Stated {
         let (crs, wall) = match artefact {
             Artefact::Transform(transform) => (transform.crs.as_ref(), None),
             other => {
-                let georeference = other.frame().and_then(Frame::georeference);
-                (georeference.and_then(|g| g.crs.as_ref()), georeference.and_then(|g| g.wall_from_world.as_ref()))
+                let frame = other.frame();
+                (frame.and_then(Frame::world_crs), frame.and_then(Frame::wall_from_world))
             }
         };
         let mut state = self.state();
@@ -116,7 +116,7 @@ impl State {
 }
 
 fn crs_of(artefact: &Artefact) -> Option<Crs> {
-    artefact.frame().and_then(Frame::georeference).and_then(|georeference| georeference.crs.clone())
+    artefact.frame().and_then(Frame::world_crs).cloned()
 }
 
 fn place(artefact: &mut Artefact, georeference: &Georeference) {
@@ -128,9 +128,8 @@ fn place(artefact: &mut Artefact, georeference: &Georeference) {
         return;
     }
     let Some(frame) = artefact.frame_mut() else { return };
-    let own = frame.georeference();
-    let crs = own.and_then(|own| own.crs.as_ref()).or(georeference.crs.as_ref()).cloned();
-    let way = own.and_then(|own| own.wall_from_world.as_ref()).or(georeference.wall_from_world.as_ref());
+    let crs = frame.world_crs().or(georeference.crs.as_ref()).cloned();
+    let way = frame.wall_from_world().or(georeference.wall_from_world.as_ref());
     *frame = frame.at(Some(Georeference { crs, wall_from_world: way.cloned() }));
 }
 

@@ -266,8 +266,7 @@ fn append(first: &str, together: &mut Raster, name: &str, raster: Raster) -> Res
         return Err(StageError::new(text)
             .hint("bring the files into one system first: `gdalwarp -t_srs EPSG:... in.tif out.tif`"));
     }
-    let way = |raster: &Raster| raster.frame.georeference().and_then(|place| place.wall_from_world.as_ref());
-    if let (Some(one), Some(other)) = (way(together), way(&raster))
+    if let (Some(one), Some(other)) = (together.frame.wall_from_world(), raster.frame.wall_from_world())
         && one != other
     {
         return Err(StageError::new(format!(

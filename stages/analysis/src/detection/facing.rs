@@ -1,4 +1,4 @@
-//! Which way a face looks. Detectors tell rock from air along Z: out of the wall in the wall frame, upwards in the world frame.
+//! Which way a face looks. Detectors distinguish rock from air along Z: out of the wall in the wall frame, upwards in the world frame.
 
 use nalgebra::Vector3;
 
@@ -37,7 +37,7 @@ pub fn check(port: &str, shape: Shape, least_upwards: f64) -> Result<Option<Stri
     if area <= 0.0 {
         let steepest = portable_math::atan2((1.0 - least_upwards * least_upwards).sqrt(), least_upwards).to_degrees();
         return Ok(Some(format!(
-            "`{port}` has no triangles and is in the world frame, where rock is told from air by the vertical: that is right for faces that dip by less than \
+            "`{port}` has no triangles and is in the world frame, where rock is what lies below: that is right for faces that dip by less than \
              {steepest:.0} degrees only; bring others into the wall frame with `transform-crs`"
         )));
     }
@@ -45,7 +45,7 @@ pub fn check(port: &str, shape: Shape, least_upwards: f64) -> Result<Option<Stri
         let dip = portable_math::atan2(normal.xy().norm(), normal.z).to_degrees();
         let lies = if dip > 90.0 { format!("overhangs by {:.0}", dip - 90.0) } else { format!("dips by {dip:.0}") };
         return Err(StageError::new(format!(
-            "the face of `{port}` {lies} degrees and is in the world frame, where rock is told from air by the vertical: change would be missed, or loss \
+            "the face of `{port}` {lies} degrees and is in the world frame, where rock is what lies below: change would be missed, or loss \
              taken for gain"
         ))
         .hint(

@@ -102,7 +102,17 @@ impl Frame {
 
     /// The system its own coordinates are in: that of the world frame; the wall frame is in none.
     pub fn crs(self) -> Option<&'static Crs> {
-        self.georeference.filter(|_| self == Self::World).and_then(|georeference| georeference.crs.as_ref())
+        self.world_crs().filter(|_| self == Self::World)
+    }
+
+    /// The system of the world it is, or lies in, if that is known.
+    pub fn world_crs(self) -> Option<&'static Crs> {
+        self.georeference.and_then(|georeference| georeference.crs.as_ref())
+    }
+
+    /// How the wall frame lies in the world, if that is known.
+    pub fn wall_from_world(self) -> Option<&'static Transform> {
+        self.georeference.and_then(|georeference| georeference.wall_from_world.as_ref())
     }
 
     /// The same axes at this place on the Earth.

@@ -35,7 +35,7 @@ impl ParamType for CrsName {
         let stated = name.stated().map_err(|message| vec![Fault::new(message)])?;
         match stated.kind {
             Kind::Projected => Ok(name),
-            Kind::Geographic | Kind::Geocentric | Kind::WorldMap | Kind::WestSouth => Err(vec![Fault::new(format!(
+            kind if kind.needs_reprojection() => Err(vec![Fault::new(format!(
                 "{}: a system in metres is needed, with axes to the east and north, such as the UTM zone of the site; reproject the file first",
                 sort_of(&stated)
             ))]),
@@ -131,28 +131,19 @@ pub fn settle(
     context: &Context,
 ) -> Result<Settled, StageError> {
     let given = given.map(CrsName::stated).transpose().map_err(StageError::new)?;
-    // A unit alone is part of what else is stated in it.
-    let says_unit = |other: &Option<Stated>| {
-        let units = other.as_ref().zip(file.as_ref()).map(|(other, file)| (&other.unit, &file.unit));
-        units.is_some_and(|(other, own)| other == own)
-    };
-    let is_part =
-        file.as_ref().is_some_and(|stated| stated.kind == Kind::Local) && (says_unit(&beside) || says_unit(&given));
-    let file = file.filter(|_| !is_part);
     let is_local = file.as_ref().is_some_and(|stated| stated.kind == Kind::Local);
+    // A local system states its unit alone, which may be part of what else is stated.
+    let is_part = |own: &Stated| [&beside, &given].into_iter().flatten().any(|other| other.unit == own.unit);
+    let adds = |own: &Stated| !is_local || own.unit.as_ref().is_some_and(|unit| !unit.is_metre()) && !is_part(own);
+    let file = file.filter(adds);
     let statements = [
-        (
-            format!("`{path}` itself"),
-            file.filter(|stated| !is_local || stated.unit.as_ref().is_some_and(|u| !u.is_metre())),
-        ),
+        (format!("`{path}` itself"), file),
         (format!("the `.prj` beside `{path}`"), beside),
         ("parameter `crs`".to_owned(), given),
     ];
     let mut stated: Vec<(String, Stated)> = statements.into_iter().filter_map(|(who, s)| Some((who, s?))).collect();
     let found = |found: Option<(usize, &(String, Stated))>| found.map(|(place, _)| place);
-    let unfit = |(_, s): &(String, Stated)| {
-        matches!(s.kind, Kind::Geographic | Kind::Geocentric | Kind::WorldMap | Kind::WestSouth)
-    };
+    let unfit = |(_, s): &(String, Stated)| s.kind.needs_reprojection();
     if let Some(place) = found(stated.iter().enumerate().find(|(_, stated)| unfit(stated))) {
         let (who, stated) = stated.swap_remove(place);
         return Err(refusal(path, &who, &stated, tool, first));
@@ -217,7 +208,7 @@ fn far_off(path: &str, stated: &Stated, [x, y, _]: [f64; 3]) -> Option<String> {
             "`{path}` has a point at {x}, {y}, which are degrees, or have lost a shift (`offset_m`), but is said to be in {name}"
         ));
     }
-    let projection = super::signature::projection(plane);
+    let projection = super::signature::projection(plane)?;
     let (_, farthest_m) = FARTHEST_M.iter().find(|(known, _)| projection == *known)?;
     let far = x_m.abs() > *farthest_m || y_m.abs() > QUARTER_M;
     far.then(|| {

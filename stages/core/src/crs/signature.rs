@@ -59,16 +59,15 @@ pub fn of(node: &Node) -> Option<String> {
     let base = node.child(&["GEOGCS", "BASEGEOGCRS", "BASEGEODCRS"])?;
     let datum = base.child(&["DATUM", "ENSEMBLE", "GEODETICDATUM", "TRF"])?;
     let ellipsoid = datum.child(&["SPHEROID", "ELLIPSOID"])?;
-    method(node)?;
     let meridian = base.child(&["PRIMEM"]).or_else(|| node.child(&["PRIMEM"])).and_then(|node| node.number(1));
     let mut parameters = parameters(node);
-    let mut projection = projection(node);
+    let mut projection = projection(node)?;
     // Of Krovak's without axes nothing says whether they count to the south and west, as they were made to, or to the east and north.
     if projection == "krovak" && !parameters.contains_key("xscale") && node.child(&["AXIS"]).is_none() {
         return None;
     }
     one_dialect(&mut projection, &mut parameters);
-    let values: Vec<String> = parameters.iter().filter_map(|(name, value)| told(name, *value)).collect();
+    let values: Vec<String> = parameters.iter().filter_map(|(name, value)| written(name, *value)).collect();
     let unit = super::stated::linear_unit(node)?.metres;
     Some(format!(
         "{projection} {} {:.9} {:.3} {:.7} {:.6} {}",
@@ -92,12 +91,10 @@ pub fn method(node: &Node) -> Option<&Node> {
 pub fn points_west(node: &Node) -> bool {
     let is_west =
         |axis: &Node| matches!(axis.arguments.get(1), Some(Argument::Word(way)) if way.eq_ignore_ascii_case("west"));
-    let projection = plain(method(node).map_or("", Node::name));
-    let is_positive =
-        |child: &Node| plain(child.name()) == "xscale" && child.number(1).is_some_and(|scale| scale > 0.0);
+    let projection = projection(node).unwrap_or_default();
     node.nodes().any(|child| child.keyword == "AXIS" && is_west(child))
         || projection.contains("southorientated")
-        || projection == "krovak" && node.nodes().any(|child| child.keyword == "PARAMETER" && is_positive(child))
+        || projection == "krovak" && parameters(node).get("xscale").is_some_and(|scale| *scale > 0.0)
 }
 
 /// What is added to the eastings and northings of a system, metres.
@@ -107,8 +104,8 @@ pub fn false_origin(node: &Node) -> [f64; 2] {
 }
 
 /// The projection of a system by the name all dialects are compared by.
-pub fn projection(node: &Node) -> String {
-    method(node).map_or_else(String::new, |method| known(PROJECTIONS, &plain(method.name())).to_owned())
+pub fn projection(node: &Node) -> Option<String> {
+    method(node).map(|method| known(PROJECTIONS, &plain(method.name())).to_owned())
 }
 
 /// Parameters that are lengths.
@@ -129,7 +126,7 @@ fn parameters(node: &Node) -> BTreeMap<String, f64> {
 }
 
 /// A parameter that is not at the value it has when it is left out.
-fn told(name: &str, value: f64) -> Option<String> {
+fn written(name: &str, value: f64) -> Option<String> {
     match name {
         "scalefactor" if (value - 1.0).abs() < 1e-12 => None,
         // Files round it.

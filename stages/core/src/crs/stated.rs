@@ -41,6 +41,11 @@ impl Kind {
             _ => return None,
         })
     }
+
+    /// Whether coordinates of this sort must be reprojected before lengths and directions mean anything.
+    pub fn needs_reprojection(self) -> bool {
+        matches!(self, Self::Geographic | Self::Geocentric | Self::WorldMap | Self::WestSouth)
+    }
 }
 
 /// By what EPSG, Esri and others call it.
@@ -156,7 +161,7 @@ impl Stated {
         Self { name, kind: Kind::Local, unit, vertical_unit: None, node: None, unknown_heights: None }
     }
 
-    /// Whether coordinates of the two mean the same places, as far as both say: on the map, and in height.
+    /// Whether coordinates of the two mean the same places, on the map and in height. Heights that one of them does not state are no difference.
     pub fn agrees_with(&self, other: &Self) -> bool {
         self.is_same_plane(other) && self.are_heights_alike(other)
     }

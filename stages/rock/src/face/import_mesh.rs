@@ -133,7 +133,7 @@ fn framed(
     if params.frame == FileFrame::Wall {
         return Ok(Frame::Wall.at(mesh.frame.georeference().filter(|_| mesh.frame == Frame::Wall).cloned()));
     }
-    let own = mesh.frame.georeference().and_then(|georeference| georeference.crs.as_ref()).map(Stated::of_crs);
+    let own = mesh.frame.world_crs().map(Stated::of_crs);
     let about = (Tool::Other, placing::first(&mesh.vertices, params.offset_m));
     let settled = settle(&params.path.0, [own, prj.map(Stated::of_prj)], params.crs.as_ref(), about, context)?;
     placing::check_unit(&params.path.0, params.unit_m, &settled)?;

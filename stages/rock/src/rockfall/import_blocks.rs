@@ -141,7 +141,7 @@ fn to_metres(
     transform: Option<&Transform>,
     context: &Context,
 ) -> Result<Option<Frame>, StageError> {
-    let own = mesh.frame.georeference().and_then(|georeference| georeference.crs.as_ref()).map(Stated::of_crs);
+    let own = mesh.frame.world_crs().map(Stated::of_crs);
     if own.is_none() && params.crs.is_none() {
         return Ok(None);
     }
