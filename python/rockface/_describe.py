@@ -159,7 +159,11 @@ def signature(function: ast.FunctionDef) -> tuple[dict[str, Any], dict[str, Any]
         elif taken:
             inputs[argument.arg] = taken
         elif kind:
-            if default is not None and kind["type"] != "file":
+            if kind["type"] == "file":
+                # Which file is read stands in the pipeline: its only default is that there is none.
+                if isinstance(default, ast.Constant) and default.value is None:
+                    kind["default"] = None
+            elif default is not None:
                 try:
                     kind["default"] = literal(default)
                 except ValueError:

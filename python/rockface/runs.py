@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import html
+import itertools
 import json
 import re
 import tempfile
@@ -142,8 +143,6 @@ class Run:
         """Opens a run folder; `store` is where outputs are that have no name in the folder."""
         self.folder = Path(folder).resolve()
         """The folder with manifest, report, log and outputs."""
-        self.store = Path(store) if store else self.folder.parent.parent / "store"
-        """The store of results."""
         self.computed: int | None = None
         """Steps that the call of `rockface.run` computed; a run in which nothing is new is the former one."""
         self.cached: int | None = None
@@ -155,6 +154,10 @@ class Run:
             raise RockfaceError(f"{self.folder} is no run folder: {error}") from error
         if self.manifest.get("format") != 1:
             raise RockfaceError(f"{file} has format {self.manifest.get('format')}; this version reads 1")
+        beside = self.folder.parent.parent / "store"
+        named = Path(self.manifest.get("store") or beside)
+        self.store = Path(store) if store else named if (named / "format").is_file() else beside
+        """The store of results."""
 
     @cached_property
     def steps(self) -> list[Step]:
@@ -265,7 +268,8 @@ class Run:
     def table(self, *axes: str) -> Table:
         """The tidy table of a sweep: a row a point of these axes, the items and every metric as columns.
 
-        A column is called `step.metric`; a step that does not depend on all axes has its numbers in every row they hold
+        Where items have several values, such as the points of a design, these follow as `axis.name`. Metrics are called
+        `step.metric`; a step that does not depend on all axes has its numbers in every row they hold
         for, and a step that depends on further axes is left out.
 
         Args:
@@ -282,6 +286,8 @@ class Run:
                 points[tuple(step.point[axis] for axis in wanted)] = None
         if not points:
             raise RockfaceError(f"no step depends on {', '.join(wanted)}; the axes of the run are {', '.join(self.axes())}")
+        values = self.manifest.get("values", {})
+        names = {axis: list(dict.fromkeys(itertools.chain(*values.get(axis, {}).values()))) for axis in wanted}
         # Metrics by the axes they depend on and the items of these.
         numbers: dict[tuple[str, ...], dict[tuple[str, ...], dict[str, float | None]]] = {}
         units: dict[str, str] = {}
@@ -294,10 +300,13 @@ class Run:
         for point in points:
             items = dict(zip(wanted, point, strict=True))
             known: dict[str, float | None] = {}
-            for own, values in numbers.items():
-                known.update(values.get(tuple(items[axis] for axis in own), {}))
-            rows.append([*_items(items).values(), *(known.get(name) for name in units)])
-        return Table([*wanted, *units], rows, units)
+            for own, by_items in numbers.items():
+                known.update(by_items.get(tuple(items[axis] for axis in own), {}))
+            typed = _items(items)
+            cells = [[typed[axis], *(values.get(axis, {}).get(items[axis], {}).get(name) for name in names[axis])] for axis in wanted]
+            rows.append([*itertools.chain(*cells), *(known.get(name) for name in units)])
+        columns = [[axis, *(f"{axis}.{name}" for name in names[axis])] for axis in wanted]
+        return Table([*itertools.chain(*columns), *units], rows, units)
 
     def axes(self) -> list[str]:
         """The axes of the run."""
@@ -385,20 +394,30 @@ def find(run: str | Path = "latest", *, runs: str | Path | None = None, store: s
     """Opens a past run.
 
     Args:
-        run: a run folder, its name, a part of it that fits no other, or `latest`.
+        run: a run folder, its name, a part of it that fits no other, the name of a pipeline for its last run, or `latest`;
+            `~1` after the last two means the one before.
         runs: the folder of runs, by default `.rockface/runs` in the working folder.
-        store: the store of results, by default the one beside the folder of runs.
+        store: the store of results, by default the one that the run names, or that is beside the folder of runs.
 
     Raises:
         RockfaceError: there is no such run, or several.
     """
     folder = Path(runs) if runs else Path(".rockface/runs")
-    for path in (folder / run, Path(run), Path(run).parent):
+    for path in (folder / run, Path(run), Path(run).parent, folder / f"latest-{run}"):
         if (path / "run.json").is_file():
             return Run(path, store)
     entries = folder.iterdir() if folder.is_dir() else []
     # The links `latest` and `latest-NAME` are further names of runs.
     names = sorted(path.name for path in entries if not path.is_symlink() and (path / "run.json").is_file())
+    of, _, back = str(run).rpartition("~")
+    if of and back.isdecimal():
+        last = find(of, runs=folder, store=store)
+        meant = [Run(folder / name, store) for name in names]
+        before = [one for one in meant if one.folder != last.folder and (of == "latest" or one.name == last.name)]
+        before.sort(key=lambda one: (str(one.manifest["finished"]), one.folder.name))
+        if int(back) > len(before):
+            raise RockfaceError(f"`{of}` has {len(before) + 1} runs here: none is {back} before the last")
+        return [*before, last][-1 - int(back)]
     fitting = [name for name in names if str(run) in name]
     if len(fitting) == 1:
         return Run(folder / fitting[0], store)

@@ -39,6 +39,12 @@ def test_a_run_is_cached_and_opened(pipeline):
     assert (run.computed, again.computed, again.cached) == (5, 0, 5)
     assert rockface.open("latest").folder == again.folder
     assert rockface.open(again.folder).name == "quick"
+    assert rockface.open("quick").folder == rockface.open("quick~0").folder == again.folder
+    other = rockface.run(pipeline, seed=8, progress=False)
+    assert rockface.open("quick").folder == other.folder
+    assert rockface.open("quick~1").folder == rockface.open("latest~1").folder == again.folder
+    with pytest.raises(rockface.RockfaceError, match="none is 2 before"):
+        rockface.open("quick~2")
     assert run.outputs()[:2] == ["face.mesh", "dem.raster"]
     assert "dem.raster" in run
 
@@ -53,6 +59,22 @@ def test_the_table_of_a_sweep_is_tidy(pipeline):
         assert row["dem.columns"] == metrics[f"dem[cell_m={row['cell_m']:g}]"]["columns"]
     assert table.units["face.relief_rms"] == "m"
     assert len(set(table["dem.columns"])) == 3
+
+
+def test_the_table_of_a_design_has_its_values(tmp_path):
+    path = tmp_path / "design.yaml"
+    path.write_text("""
+rockface: 1
+seed: 1
+axes: {p: {sample: grid, count: 2, over: {cell_m: [0.1, 0.2]}}}
+steps:
+  face: {stage: synthesise-face, with: {width_m: 2, height_m: 2, spacing_m: 0.1}}
+  dem: {stage: rasterise-dem, in: {surface: face.mesh}, with: {cell_m: '${p.cell_m}', method: tin}}
+""")
+    table = rockface.run(path, progress=False).table("p")
+    assert table.columns[:2] == ["p", "p.cell_m"]
+    assert list(table["p.cell_m"]) == [0.1, 0.2]
+    assert len(set(table["dem.columns"])) == 2
 
 
 def test_texts_arrive_as_they_are(tmp_path):

@@ -399,8 +399,10 @@ steps:
     from pathlib import Path
 
     @rockface.stage(output="sizes")
-    def own(dems: rockface.Gathered[rockface.Raster], words: Path, extra: rockface.Mesh | None = None) -> rockface.Table:
-        assert extra is None
+    def own(
+        dems: rockface.Gathered[rockface.Raster], words: Path, extra: rockface.Mesh | None = None, note: Path | None = None
+    ) -> rockface.Table:
+        assert extra is None and note is None
         rows = [{"cell_m": point["cell_m"], "rows": dem.grid.rows} for dem, point in zip(dems, dems.points)]
         return rockface.Table.of([{**row, "words": words.read_text()} for row in rows])
     """)

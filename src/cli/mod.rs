@@ -119,6 +119,9 @@ struct PipelineArgs {
     /// The texts of included files, if they are not to be read from disk.
     #[arg(skip)]
     included: std::collections::BTreeMap<PathBuf, String>,
+    /// A copy of the input files that is read in their place.
+    #[arg(skip)]
+    copied: Option<std::sync::Arc<rockface_engine::pipeline::Copied>>,
     /// Whether these texts are part of the program.
     #[arg(skip)]
     shipped: bool,
@@ -178,6 +181,7 @@ impl PipelineArgs {
             None => Pipeline::of_read(text, path, &overrides, Some(&trees)),
         };
         let mut pipeline = loaded.map_err(CliError::Pipeline)?;
+        pipeline.copied.clone_from(&self.copied);
         let no_programs = self.no_programs || programs::are_refused_by_environment();
         rockface_engine::plan::complete(&mut pipeline, registry.stages(), no_programs);
         if !pipeline.faults.is_empty() {

@@ -149,11 +149,13 @@ impl Places {
         Ok(Store::open(&self.store_or_default())?)
     }
 
-    /// Opens the store given, or the one beside a run folder, or that of the working folder; `None` where there is none.
-    pub fn store_beside(&self, run: &Path) -> Result<Option<Store>, CliError> {
-        let beside = run.parent().and_then(Path::parent).map(|folder| folder.join("store"));
+    /// Opens the store given, or the one that the run names or that is beside its folder, or that of the working folder; `None`
+    /// where there is none.
+    pub fn store_beside(&self, run: &PastRun) -> Result<Option<Store>, CliError> {
+        let beside = run.folder.parent().and_then(Path::parent).map(|folder| folder.join("store"));
+        let named = run.manifest.store.clone();
         let (own, given) = (self.store_or_default(), self.is_store_given());
-        let places = if given { [Some(own), beside] } else { [beside, Some(own)] };
+        let places = if given { [Some(own), named, beside] } else { [named, beside, Some(own)] };
         let found = places.into_iter().flatten().find(|store| may_be_store(store));
         Ok(found.map(|store| Store::open(&store)).transpose()?)
     }
@@ -163,7 +165,7 @@ impl Places {
         if self.is_store_given() {
             return self.open_store();
         }
-        self.store_beside(&run.folder)?.map_or_else(|| self.open_store(), Ok)
+        self.store_beside(run)?.map_or_else(|| self.open_store(), Ok)
     }
 
     /// Opens the store, which must be there: what only looks makes nothing. Where none is given, it is that of the working

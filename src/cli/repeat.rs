@@ -1,13 +1,14 @@
 //! Repeating a past run from its manifest, and saying whether it came out the same.
 
 use std::collections::BTreeMap;
-use std::path::{Component, Path, PathBuf};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use rockface_cache::Digest;
 
 use super::{CliError, PipelineArgs};
 use rockface_engine::history::Manifest;
-use rockface_engine::pipeline::{is_same_axis, is_same_path};
+use rockface_engine::pipeline::{Copied, is_same_axis, is_same_path};
 use rockface_engine::plan::Plan;
 use rockface_engine::run::Summary;
 
@@ -23,19 +24,29 @@ impl PipelineArgs {
         self.take_shipped()?;
         let former = manifest(&self.pipeline)?;
         if let Some(former) = &former {
-            take_over(self, former);
+            let copied = former.copied_inputs(&self.pipeline);
+            take_over(self, former, copied);
         }
         Ok(former)
     }
 }
 
-/// Turns arguments that name a manifest into those of its run; what is given besides comes on top.
-fn take_over(arguments: &mut PipelineArgs, manifest: &Manifest) {
+/// Turns arguments that name a manifest into those of its run; what is given besides comes on top. Where an extracted archive
+/// has `copied` the input files, they are read there.
+fn take_over(arguments: &mut PipelineArgs, manifest: &Manifest, copied: Option<Copied>) {
     let file = manifest.pipeline.path.file_name().unwrap_or_default();
     arguments.pipeline = manifest.pipeline.folder.join(file);
     arguments.text = Some(manifest.pipeline.text.clone());
     let included = manifest.pipeline.included.iter();
     arguments.included = included.map(|file| (file.path.clone(), file.text.clone())).collect();
+    if let Some(copied) = copied {
+        arguments.pipeline = copied.place(&arguments.pipeline);
+        // The path of an include is relative to the copy, or what the pipeline says.
+        let in_copy = arguments.included.iter().map(|(path, text)| (copied.moved(path), text.clone()));
+        let in_copy: Vec<(PathBuf, String)> = in_copy.collect();
+        arguments.included.extend(in_copy);
+        arguments.copied = Some(Arc::new(copied));
+    }
     let (set, sweep) = (std::mem::take(&mut arguments.set), std::mem::take(&mut arguments.sweep));
     let is_replaced = |former: &&String| {
         sweep.iter().any(|given| is_same_axis(given, former)) || set.iter().any(|given| is_same_path(given, former))
@@ -62,8 +73,8 @@ pub struct Repeated {
     pub lines: Vec<String>,
 }
 
-/// Whether every output of a repetition has the digest it had, and what may be why not.
-pub fn verdict(manifest: &Manifest, plan: &Plan, summary: &Summary) -> Repeated {
+/// Whether every output of a repetition has the digest it had, and what may be why not; `copied` are the input files where it read a copy.
+pub fn verdict(manifest: &Manifest, copied: Option<&Copied>, plan: &Plan, summary: &Summary) -> Repeated {
     let former: BTreeMap<String, BTreeMap<&str, Digest>> = manifest
         .steps
         .iter()
@@ -98,7 +109,7 @@ pub fn verdict(manifest: &Manifest, plan: &Plan, summary: &Summary) -> Repeated 
         return Repeated { same, others: 0, lines: vec![format!("repeated: all {same} outputs are the same: {how}")] };
     }
     let count = others.len();
-    let mut lines = changed_files(manifest, plan);
+    let mut lines = changed_files(manifest, plan, copied);
     lines.extend(others);
     let program = rockface_engine::version::program();
     if manifest.program != program {
@@ -111,10 +122,10 @@ pub fn verdict(manifest: &Manifest, plan: &Plan, summary: &Summary) -> Repeated 
 }
 
 /// The input files whose content is not what it was.
-fn changed_files(manifest: &Manifest, plan: &Plan) -> Vec<String> {
-    let here = working_folder(manifest);
-    let former = manifest.steps.iter().flat_map(|done| &done.files).map(|file| (here.join(&file.path), file.blake3));
-    let former: BTreeMap<PathBuf, Digest> = former.collect();
+fn changed_files(manifest: &Manifest, plan: &Plan, copied: Option<&Copied>) -> Vec<String> {
+    let here = |path: PathBuf| copied.map_or_else(|| path.clone(), |copied| copied.place(&path));
+    let former: BTreeMap<PathBuf, Digest> =
+        manifest.input_files().into_iter().map(|(path, digest)| (here(path), digest)).collect();
     let now = plan.instances.iter().flat_map(|instance| instance.params.files.values().flatten());
     let now: BTreeMap<&PathBuf, Digest> = now.map(|file| (&file.path, file.digest)).collect();
     let changed = now.into_iter().filter_map(|(path, now)| {
@@ -122,13 +133,6 @@ fn changed_files(manifest: &Manifest, plan: &Plan) -> Vec<String> {
         Some(format!("changed  {}: {} then, {} now", path.display(), then.short(), now.short()))
     });
     changed.collect()
-}
-
-/// The folder a run was started in, which its relative paths start from.
-fn working_folder(manifest: &Manifest) -> &Path {
-    let told = &manifest.pipeline;
-    let steps = told.path.parent().into_iter().flat_map(Path::components).filter(|part| *part != Component::CurDir);
-    told.folder.ancestors().nth(steps.count()).unwrap_or(&told.folder)
 }
 
 /// The label with its axes by name, as manifests have them.

@@ -31,15 +31,23 @@ impl ReportArgs {
     /// Writes the page of the run anew, and shows it in the browser where that is asked for.
     pub fn run(self, registry: &Registry) -> Result<(), CliError> {
         let run = self.places.find(&self.run)?;
-        let store = self.places.store_beside(&run.folder)?;
+        let store = self.places.store_beside(&run)?;
+        let to = self.output.unwrap_or_else(|| run.folder.join(REPORT_FILE));
         if store.is_none() {
+            // The page that the run wrote has what only the store has.
+            if to == run.folder.join(REPORT_FILE) && to.is_file() {
+                complain(
+                    "warning: there is no store here, so the page of the run stays as it is; `--store` writes it anew",
+                );
+                say(&to.display().to_string());
+                return if self.open { show(&to) } else { Ok(()) };
+            }
             complain("warning: there is no store here; what is not in the run folder is missing from the report");
         }
         let graph = report::graph_of(registry, &run.manifest);
         let (folder, manifest) = (&run.folder, &run.manifest);
         let (store, graph, look) = (store.as_ref(), graph.as_ref(), registry.look());
         let source = Source { run: RunContents { folder, manifest, store, graph, logs: None }, look };
-        let to = self.output.unwrap_or_else(|| run.folder.join(REPORT_FILE));
         super::check_own(&to, 0, report::BEGINS, "report")?;
         report::write(&source, &to)?;
         say(&to.display().to_string());

@@ -122,7 +122,7 @@ impl RunArgs {
             let ended = Ended { summary: &summary, told: &told, finished: &finished };
             shortcut::remember(&store, &question, &plan, &ended, &pipeline.looks)?;
         }
-        let repeated = former.map(|former| repeat::verdict(&former, &plan, &summary));
+        let repeated = former.map(|former| repeat::verdict(&former, pipeline.copied.as_deref(), &plan, &summary));
         let wall_s = begun.elapsed().as_secs_f64();
         if self.json {
             Self::report_json(&store, &summary, &finished, repeated.as_ref(), wall_s);

@@ -239,7 +239,7 @@ fn compare(runs: &[PastRun], format: Format, all: bool) -> Result<(), CliError> 
 /// Writes runs side by side as a page.
 fn page(registry: &Registry, places: &Places, runs: &[PastRun], to: &Path) -> Result<(), CliError> {
     super::check_own(to, 0, report::BEGINS, "page of a comparison")?;
-    let store = places.store_beside(&runs[0].folder)?;
+    let store = places.store_beside(&runs[0])?;
     report::save(to, &report::comparison(runs, store.as_ref(), registry.look())?)?;
     say(&to.display().to_string());
     Ok(())

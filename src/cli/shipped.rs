@@ -179,7 +179,9 @@ impl PipelineArgs {
     /// # Errors
     /// No pipeline ships under that name, a file of the working folder may be meant as well, or scripts it needs are not there.
     pub fn take_shipped(&mut self) -> Result<(), CliError> {
-        let Some(name) = self.pipeline.to_str().filter(|name| is_name(name)) else { return Ok(()) };
+        let Some(name) = self.pipeline.to_str().filter(|name| is_name(name)) else {
+            return if self.text.is_none() { not_in_a_clone(&self.pipeline) } else { Ok(()) };
+        };
         if self.text.is_some() || std::fs::symlink_metadata(&self.pipeline).is_ok() {
             return Ok(());
         }
@@ -201,6 +203,22 @@ impl PipelineArgs {
         self.included = shipped.included(&here);
         self.shipped = true;
         Ok(())
+    }
+}
+
+/// Refuses a path that leads to a shipped pipeline in a clone of the sources, where there is no such file.
+fn not_in_a_clone(path: &Path) -> Result<(), CliError> {
+    let written = path.with_extension("");
+    let name = written.strip_prefix("pipelines").unwrap_or(&written).to_str().unwrap_or_default();
+    if !is_pipeline(&path.to_string_lossy()) || !is_name(name) || std::fs::symlink_metadata(path).is_ok() {
+        return Ok(());
+    }
+    match Shipped::find(name) {
+        Ok(_) => Err(CliError::Usage(format!(
+            "there is no file `{}`; a pipeline of that name ships with rockface: give its name, `{name}`",
+            path.display()
+        ))),
+        Err(_) => Ok(()),
     }
 }
 
@@ -257,6 +275,19 @@ mod tests {
         assert_eq!(files("calibrate"), ["calibrate.yaml"]);
         assert_eq!(files("outcrop"), ["outcrop.yaml", "parts/outcrop-noise.yaml", "scripts/example_site.sh"]);
         assert_eq!(files("paper/ten-epochs"), ["paper/ten-epochs.yaml", "hunter-valley-blocks.csv"]);
+    }
+
+    #[test]
+    fn paths_of_a_clone_get_the_name() {
+        let told = |path: &str| not_in_a_clone(Path::new(path)).map_err(|error| error.to_string());
+        assert!(
+            ["pipelines/nowhere.yaml", "/a/quickstart.yaml", "pipelines/quickstart.yaml"]
+                .into_iter()
+                .all(|path| told(path).is_ok())
+        );
+        for (path, name) in [("quickstart.yaml", "quickstart"), ("paper/ten-epochs.yaml", "paper/ten-epochs")] {
+            assert!(told(path).unwrap_err().ends_with(&format!("give its name, `{name}`")), "{path}");
+        }
     }
 
     #[test]

@@ -37,8 +37,9 @@ struct At {
 ///
 /// Axes whose items reseed random streams are replicates: their spread is the band.
 pub fn of(manifest: &Manifest, graph: &Graph, targets: &[String]) -> (Vec<Curve>, usize) {
-    let swept = graph.axes.iter().filter(|axis| !axis.reseeds).map(|axis| axis.name.text.as_str());
-    let swept: Vec<&str> = swept.collect();
+    let mut seen: HashSet<&str> = HashSet::new();
+    let axes = graph.axes.iter().filter(|axis| !axis.reseeds && seen.insert(&axis.label));
+    let swept: Vec<Abscissa> = axes.flat_map(|axis| Abscissa::of(&axis.label, manifest)).collect();
     if swept.is_empty() {
         return (Vec::new(), 0);
     }
@@ -46,19 +47,50 @@ pub fn of(manifest: &Manifest, graph: &Graph, targets: &[String]) -> (Vec<Curve>
     for done in &manifest.steps {
         instances.entry(&done.step).or_default().push(done);
     }
-    let of_targets = of_steps(&instances, targets.iter().map(String::as_str), &swept);
+    let of_targets = of_steps(manifest, &instances, targets.iter().map(String::as_str), &swept);
     if !of_targets.0.is_empty() {
         return of_targets;
     }
     let mut seen: HashSet<&str> = HashSet::new();
     let others = manifest.steps.iter().rev().map(|done| done.step.as_str()).filter(|step| seen.insert(step));
-    of_steps(&instances, others, &swept)
+    of_steps(manifest, &instances, others, &swept)
+}
+
+/// What numbers are drawn over: the items of an axis, or one of the values that they have.
+struct Abscissa<'a> {
+    axis: &'a str,
+    value: Option<&'a str>,
+}
+
+impl<'a> Abscissa<'a> {
+    /// Where items have values, their names are only numbers of rows: they are not drawn over.
+    fn of(axis: &'a str, manifest: &'a Manifest) -> Vec<Self> {
+        let names = manifest.value_names(axis);
+        if names.is_empty() {
+            return vec![Self { axis, value: None }];
+        }
+        names.into_iter().map(|name| Self { axis, value: Some(name) }).collect()
+    }
+
+    fn name(&self) -> String {
+        self.value.map_or_else(|| self.axis.to_owned(), |value| format!("{}.{value}", self.axis))
+    }
+
+    /// Where an instance stands.
+    fn at(&self, done: &StepDone, manifest: &Manifest) -> Option<f64> {
+        let item = done.point.get(self.axis)?;
+        match self.value {
+            None => item.parse().ok(),
+            Some(name) => manifest.value(self.axis, item, name)?.as_f64(),
+        }
+    }
 }
 
 fn of_steps<'a>(
+    manifest: &Manifest,
     instances: &HashMap<&str, Vec<&StepDone>>,
     steps: impl Iterator<Item = &'a str>,
-    swept: &[&str],
+    swept: &[Abscissa],
 ) -> (Vec<Curve>, usize) {
     let (mut curves, mut more) = (Vec::new(), 0);
     for target in steps {
@@ -72,7 +104,7 @@ fn of_steps<'a>(
         for axis in swept {
             for (name, unit) in &names {
                 let told = instances.iter().filter_map(|done| {
-                    let x = done.point.get(*axis)?.parse::<f64>().ok()?;
+                    let x = axis.at(done, manifest)?;
                     let metric = done.metrics.iter().find(|metric| metric.name == *name)?;
                     Some((x, metric.value.filter(|value| value.is_finite())?))
                 });
@@ -82,8 +114,9 @@ fn of_steps<'a>(
                     continue;
                 }
                 let unit = if *unit == "1" { String::new() } else { format!(" [{unit}]") };
-                let caption = format!("{target}.{name}{unit} over {axis}");
-                curves.push(Curve { svg: drawn(&curve, &caption, axis), caption });
+                let over = axis.name();
+                let caption = format!("{target}.{name}{unit} over {over}");
+                curves.push(Curve { svg: drawn(&curve, &caption, &over, axis.value.is_none()), caption });
             }
         }
     }
@@ -128,7 +161,8 @@ fn short(value: f64) -> String {
     format!("{value:.2e}")
 }
 
-fn drawn(curve: &[At], caption: &str, axis: &str) -> String {
+/// Medians as points; `joined` by a line, with the spread as a band. Points of a design differ in other values too, and are not.
+fn drawn(curve: &[At], caption: &str, axis: &str, joined: bool) -> String {
     let low = |values: &[f64]| values.iter().copied().fold(f64::INFINITY, f64::min);
     let high = |values: &[f64]| values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     let (x0, x1) = (curve[0].x, curve[curve.len() - 1].x);
@@ -147,9 +181,11 @@ fn drawn(curve: &[At], caption: &str, axis: &str) -> String {
          font-size=\"12\" fill=\"currentColor\">",
         escaped(caption)
     );
-    let _ = write!(svg, "<polygon points=\"{}\" fill=\"#4477aa\" fill-opacity=\"0.25\"/>", band.join(" "));
-    let _ =
-        write!(svg, "<polyline points=\"{}\" fill=\"none\" stroke=\"#4477aa\" stroke-width=\"2\"/>", line.join(" "));
+    if joined {
+        let _ = write!(svg, "<polygon points=\"{}\" fill=\"#4477aa\" fill-opacity=\"0.25\"/>", band.join(" "));
+        let line = line.join(" ");
+        let _ = write!(svg, "<polyline points=\"{line}\" fill=\"none\" stroke=\"#4477aa\" stroke-width=\"2\"/>");
+    }
     for at in curve {
         let (x, y) = (across(at.x), down(median(&at.values)));
         let _ = write!(svg, "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"3\" fill=\"#4477aa\"/>");
@@ -185,9 +221,17 @@ mod tests {
         let told = vec![(0.5, 3.0), (0.5, 1.0), (0.5, 2.0), (1.0, 4.0), (1.0, 6.0)];
         let curve = gathered(told).unwrap();
         assert_eq!(curve.iter().map(|at| (at.x, median(&at.values))).collect::<Vec<_>>(), [(0.5, 2.0), (1.0, 5.0)]);
-        let svg = drawn(&curve, "a \"<b>\"", "sigma");
+        let svg = drawn(&curve, "a \"<b>\"", "sigma", true);
         assert!(svg.contains("&quot;&lt;b&gt;") && svg.contains(">6</text>") && !svg.contains("NaN"), "{svg}");
         assert!(gathered(vec![(1.0, 1.0), (2.0, 1.0)]).is_none() && gathered(vec![(1.0, 1.0), (1.0, 2.0)]).is_none());
+    }
+
+    #[test]
+    fn points_of_a_design_are_not_joined() {
+        let curve = gathered(vec![(0.1, 3.0), (2.5, 1.0)]).unwrap();
+        let [joined, alone] = [true, false].map(|joined| drawn(&curve, "a", "at.a_m", joined));
+        assert!(joined.contains("<polyline") && !alone.contains("<polyline") && !alone.contains("<polygon"));
+        assert_eq!(alone.matches("<circle").count(), 2);
     }
 
     #[test]

@@ -107,6 +107,22 @@ fn a_run_has_one_table_of_all_points_and_steps_have_titles() {
 }
 
 #[test]
+fn the_values_of_a_design_are_in_the_table_and_drawn_over() {
+    let drawn = SMALL
+        .replace("seed: 1\n", "seed: 1\naxes: {p: {sample: grid, count: 2, over: {cell_m: [0.05, 0.1]}}}\n")
+        .replace("cell_m: 0.05", "cell_m: '${p.cell_m}'");
+    let house = House::new(&drawn);
+    let (code, out, err) = house.rockface(&["run", "p.yaml"]);
+    assert_eq!(code, Some(0), "{out}{err}");
+    let table = std::fs::read_to_string(house.path(".rockface/runs/latest/points.csv")).unwrap();
+    let rows: Vec<&str> = table.lines().collect();
+    assert!(rows[0].starts_with("p,p.cell_m,") && rows[0].contains("dem."), "{table}");
+    assert!(rows[1].starts_with("0,0.05,") && rows[2].starts_with("1,0.1,"), "{table}");
+    let page = std::fs::read_to_string(house.path(".rockface/runs/latest/report.html")).unwrap();
+    assert!(page.contains("over p.cell_m") && !page.contains("over p<"), "{page}");
+}
+
+#[test]
 fn a_sweep_whose_target_gathers_is_drawn_too() {
     let swept = SMALL
         .replace("seed: 1\n", "seed: 1\naxes: {cell_m: {values: [0.05, 0.04]}}\n")

@@ -30,6 +30,17 @@ pub fn unpacked(path: &std::path::Path) -> BTreeMap<String, Vec<u8>> {
     archive.entries().unwrap().map(read).collect()
 }
 
+/// The files of an archive in a folder of their own.
+fn extracted(files: &BTreeMap<String, Vec<u8>>) -> House {
+    let elsewhere = House::new("");
+    for (path, bytes) in files {
+        let path = elsewhere.path(path);
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        std::fs::write(path, bytes).unwrap();
+    }
+    elsewhere
+}
+
 #[test]
 fn inspect_tells_of_a_run_by_its_folder_and_by_its_manifest() {
     let house = including();
@@ -57,14 +68,99 @@ fn an_archive_has_the_included_files_where_they_lay() {
     assert_eq!(code, Some(0), "{err}");
     let files = unpacked(&house.path("run.tar"));
     assert_eq!(files["pipeline/parts/part.yaml"], SMALL.as_bytes());
-    let elsewhere = House::new("");
-    for (path, bytes) in &files {
-        let path = elsewhere.path(path);
-        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
-        std::fs::write(path, bytes).unwrap();
-    }
+    let elsewhere = extracted(&files);
     let (code, out, err) = elsewhere.rockface(&["plan", "pipeline/p.yaml"]);
     assert!(code == Some(0) && out.contains("dem"), "{out}{err}");
+}
+
+/// A face of two triangles.
+const FACE: &str = "v 0 0 0\nv 1 0 0\nv 1 1 0.5\nv 0 1 0.5\nf 1 2 3\nf 1 3 4\n";
+
+#[test]
+fn inspect_reads_meshes_of_other_programs() {
+    let house = House::new("");
+    std::fs::write(house.path("face.obj"), FACE).unwrap();
+    // By its content: what a colleague has renamed is read by `import-mesh` too.
+    std::fs::write(house.path("face.ply"), FACE).unwrap();
+    for file in ["face.obj", "face.ply"] {
+        let (code, out, err) = house.rockface(&["inspect", file, "--json"]);
+        assert_eq!(code, Some(0), "{err}");
+        let facts: Value = serde_json::from_str(&out).unwrap();
+        assert_eq!((&facts["kind"], &facts["triangles"]), (&"mesh".into(), &2.into()), "{file}: {out}");
+        assert_eq!(facts["read by"], "`stage: import-mesh`");
+    }
+}
+
+#[test]
+fn an_archive_with_its_inputs_is_repeated_wherever_it_lies() {
+    let house = House::new("");
+    for folder in ["site/pipelines/parts", "site/scans", "other"] {
+        std::fs::create_dir_all(house.path(folder)).unwrap();
+    }
+    std::fs::write(house.path("site/scans/face.obj"), FACE).unwrap();
+    std::fs::write(house.path("other/face.obj"), FACE.replace("0.5", "0.25")).unwrap();
+    let part = "rockface: 1
+steps:
+  near: {stage: import-mesh, with: {path: ../scans/face.obj}}
+  dem: {stage: rasterise-dem, in: {surface: near.mesh}, with: {cell_m: 0.1, method: tin}}
+";
+    std::fs::write(house.path("site/pipelines/parts.yaml"), part).unwrap();
+    let main = "rockface: 1
+name: whole
+seed: 1
+include: parts.yaml
+params: {face: none}
+steps:
+  far: {stage: import-mesh, with: {path: '${face}'}}
+";
+    std::fs::write(house.path("site/pipelines/p.yaml"), main).unwrap();
+    // One file is named relative to the pipeline, the other one by its whole path.
+    let face = format!("params.face={}", house.path("other/face.obj").display());
+    let (code, _, err) = house.rockface(&["run", "site/pipelines/p.yaml", "--set", &face]);
+    assert_eq!(code, Some(0), "{err}");
+    let archive = || {
+        house.rockface(&[
+            "archive",
+            "site/pipelines/p.yaml",
+            "--runs",
+            "site/pipelines/.rockface/runs",
+            "--inputs",
+            "-o",
+            "run.tar",
+        ])
+    };
+    let (code, out, err) = archive();
+    assert_eq!(code, Some(0), "{out}{err}");
+    let files = unpacked(&house.path("run.tar"));
+    for path in ["other/face.obj", "site/scans/face.obj", "site/pipelines/p.yaml", "site/pipelines/parts.yaml"] {
+        assert!(files.contains_key(&format!("inputs/{path}")), "{path} in {:?}", files.keys());
+    }
+    // An input that is not what the run read is no input of the run.
+    std::fs::write(house.path("other/face.obj"), FACE).unwrap();
+    let (code, _, err) = archive();
+    assert!(code == Some(2) && err.contains("other/face.obj is not what the run read any more"), "{code:?} {err}");
+    assert_eq!(unpacked(&house.path("run.tar")), files, "the archive that was there stays");
+    for folder in ["site", "other"] {
+        std::fs::remove_dir_all(house.path(folder)).unwrap();
+    }
+    let elsewhere = extracted(&files);
+    let (code, out, err) = elsewhere.rockface(&["run", "run.json"]);
+    assert!(code == Some(0) && out.contains("all 3 outputs are the same: 3 steps were computed again"), "{out}{err}");
+    // So is the repetition, an archive of it too, and the pipeline runs by its file where it names its files relative to itself.
+    let again = elsewhere.path("inputs/site/pipelines/.rockface/runs/latest/run.json");
+    let (code, out, err) = elsewhere.rockface(&["run", again.to_str().unwrap()]);
+    assert!(code == Some(0) && out.contains("all 3 outputs are the same: all of them from the store"), "{out}{err}");
+    let (code, _, err) = elsewhere.rockface(&["archive", again.to_str().unwrap(), "--inputs", "-o", "again.tar"]);
+    assert_eq!(code, Some(0), "{err}");
+    let third = extracted(&unpacked(&elsewhere.path("again.tar")));
+    let (code, out, err) = third.rockface(&["run", "run.json"]);
+    assert!(code == Some(0) && out.contains("all 3 outputs are the same: 3 steps were computed again"), "{out}{err}");
+    let (code, out, err) = elsewhere.rockface(&["plan", "inputs/site/pipelines/p.yaml", "--target", "dem"]);
+    assert!(code == Some(0) && out.contains("dem"), "{out}{err}");
+    // What differs is named by where it lies now.
+    std::fs::write(elsewhere.path("inputs/other/face.obj"), FACE).unwrap();
+    let (code, out, _) = elsewhere.rockface(&["run", "run.json"]);
+    assert!(code == Some(0) && out.contains("changed") && out.contains("inputs/other/face.obj"), "{out}");
 }
 
 /// The manifest of the latest run, and of it the part of one step.

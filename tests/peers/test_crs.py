@@ -90,6 +90,19 @@ def test_clouds_rasters_and_outlines_have_the_system(run):
     assert 'comment rockface georeference {"crs":"EPSG:32633"}' in header
 
 
+def test_inspect_says_what_files_of_others_state(run, binary):
+    def told(name):
+        file = run.folder / "../.." / name
+        done = subprocess.run([binary, "inspect", file, "--json"], capture_output=True, text=True, check=True)
+        return json.loads(done.stdout)
+
+    raster, scan = told("real.tif"), told("scan.laz")
+    assert (raster["frame"], raster["system"]) == ("world", "WGS 84 / UTM zone 33N, EPSG:32633")
+    assert scan["system"].startswith("WGS 84 / UTM zone 33N") and "import-cloud" in scan["kind"]
+    x = np.asarray(laspy.read(run.folder / "../../scan.laz").x)
+    np.testing.assert_allclose([scan["x"]["min"], scan["x"]["max"]], [x.min(), x.max()], atol=1e-3)
+
+
 def test_coordinates_are_those_of_the_input_to_a_millimetre(run):
     with rasterio.open(run.output("real", "raster.tif")) as ours, rasterio.open(run.folder / "../../real.tif") as theirs:
         assert ours.transform.almost_equals(theirs.transform, 1e-6)

@@ -46,7 +46,14 @@ fn output() -> OutputRecord {
 fn manifest() -> Manifest {
     let text = "rockface: 1\nname: two\nsteps:\n  face: {stage: synthesise-face}\n".to_owned();
     let included = vec![IncludedText { path: "/site/parts/a.yaml".into(), text: "rockface: 1\n".into() }];
-    let pipeline = PipelineText { name: "two".into(), path: "two.yaml".into(), folder: "/site".into(), text, included };
+    let pipeline = PipelineText {
+        name: "two".into(),
+        path: "two.yaml".into(),
+        folder: "/site".into(),
+        text,
+        copied: None,
+        included,
+    };
     let overrides = Overridden { sweep: Vec::new(), set: vec!["seed=1".into()], seed: Some(7) };
     Manifest {
         format: FORMAT,
@@ -62,6 +69,8 @@ fn manifest() -> Manifest {
         headlines: vec!["done".into()],
         laid_out: "some".into(),
         parts: Vec::new(),
+        store: Some("/shared/store".into()),
+        values: serde_json::from_value(json!({"at": {"0": {"a_m": 0.5}}})).unwrap_or_default(),
         steps: vec![done("face", "executed", None), done("dem", "failed", Some("no triangle".into()))],
     }
 }

@@ -5,7 +5,7 @@ use std::path::Path;
 use rockface::report::{self, Links, Source};
 use rockface_cache::Store;
 use rockface_core::Entry;
-use rockface_engine::history::{PastRun, RunContents, archive, compare, crate_metadata};
+use rockface_engine::history::{Contents, PastRun, RunContents, archive, compare, crate_metadata};
 
 use super::Verdict;
 
@@ -50,6 +50,7 @@ fn told(past: &PastRun, folder: &Path) {
     }
     if let Ok(store) = Store::open(&folder.join("store")) {
         // Paths that fit into no archive are refused.
-        drop(archive(past, &store, true, &folder.join("run.tar")));
+        let contents = Contents { inputs: true, outputs: true };
+        drop(archive(past, &store, contents, &folder.join("run.tar")));
     }
 }

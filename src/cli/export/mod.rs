@@ -226,6 +226,10 @@ pub struct ArchiveArgs {
     /// Include the outputs of the run: those in its folder, and the others from the store.
     #[arg(long)]
     outputs: bool,
+    /// Include the pipeline and all files it read, as they were, so that `rockface run run.json` repeats the run wherever the
+    /// archive is extracted.
+    #[arg(long)]
+    inputs: bool,
     #[command(flatten)]
     places: Places,
 }
@@ -237,7 +241,8 @@ impl ArchiveArgs {
         let to = self.output.unwrap_or_else(|| PathBuf::from(format!("{}.tar", run.name)));
         let (at, has) = history::ARCHIVE_MARK;
         check_own(&to, at, has, "archive of a run")?;
-        let done = history::archive(&run, &self.places.store_of(&run)?, self.outputs, &to)?;
+        let contents = history::Contents { inputs: self.inputs, outputs: self.outputs };
+        let done = history::archive(&run, &self.places.store_of(&run)?, contents, &to)?;
         if done.missing > 0 {
             let missing = done.missing;
             complain(&format!("warning: {missing} records or logs of this run are not in the store any more"));

@@ -195,7 +195,7 @@ fn of_table(table: &Table) -> Facts {
 }
 
 /// Least, greatest and number of values, and how many of them are no number.
-fn range(values: impl Iterator<Item = f64>) -> Value {
+pub fn range(values: impl Iterator<Item = f64>) -> Value {
     let (mut least, mut greatest, mut count, mut nan) = (f64::INFINITY, f64::NEG_INFINITY, 0_u64, 0_u64);
     for value in values {
         count += 1;

@@ -2,6 +2,7 @@
 //! picture; and one pixel followed through the steps that made it.
 
 mod facts;
+mod foreign;
 mod origin;
 mod picture;
 mod pixel;
@@ -250,10 +251,17 @@ fn of_file(path: &Path, places: &Places) -> Result<Found, CliError> {
         match Artefact::decode(*kind, &bytes) {
             Ok(artefact) => {
                 facts.extend(of_artefact(&artefact));
+                if let Artefact::Raster(raster) = &artefact {
+                    foreign::of_system(raster, &bytes, &mut facts);
+                }
                 return Ok(Found { facts, artefact: Some(artefact) });
             }
             Err(error) => faults.push(format!("as {kind}: {error}")),
         }
+    }
+    if let Some(found) = foreign::of(&bytes, &extension) {
+        facts.extend(found.facts);
+        return Ok(Found { facts, ..found });
     }
     let why = match importer(&extension).or_else(|| importer_of_json(&bytes)) {
         Some(stage) => format!("files of other programs are read by a step: `stage: {stage}`"),

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
-use std::io::{BufWriter, Write};
+use std::io::{BufWriter, Read, Write};
 use std::path::{Path, PathBuf};
 
 use rockface_cache::{Digest, NameError, OutputRecord, SafeName, SafePath, Store, StoreError};
@@ -22,11 +22,12 @@ ro-crate-metadata.json   the same for programs that know nothing of rockface (Wo
 records/KEY.recipe.json  the recipe of every step: the BLAKE3 of these very bytes is KEY
 logs/DIGEST.json         what steps said; the BLAKE3 of these very bytes is DIGEST
 outputs/                 the outputs, where the archive was made with --outputs; those that the run folder lacks are from the store
+inputs/                  the pipeline and all files it read, as they lay, where the archive was made with --inputs
 B3SUMS                   the BLAKE3 of every file: `b3sum --check B3SUMS` checks them all
 
-To repeat the run, put the input files that run.json names (with their BLAKE3) where it names them, and
-`rockface run run.json --store STORE --runs RUNS`: it says whether every output is the same. Without the two folders it
-writes into the `.rockface` folder where its pipeline was.
+To repeat the run, extract the archive and `rockface run run.json`: it says whether every output is the same. It reads the
+files in inputs/ and writes into a `.rockface` folder beside the pipeline there. Without inputs/ it reads the files where
+run.json names them (with their BLAKE3): put them there, and give `--store STORE --runs RUNS` for where it writes.
 ";
 
 /// What every archive has, and at which byte: the beginning of its first file, behind the header of that.
@@ -43,13 +44,21 @@ pub struct Archived {
     pub left_out: Vec<String>,
 }
 
-/// Writes the archive (tar) of a run; with `outputs`, its outputs too, those that its folder lacks from the store. Equal runs
-/// give equal bytes. The folder of the archive is made if there is none.
+/// What an archive has besides what is needed to check the run.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Contents {
+    /// The pipeline and the files it read, so that the run can be repeated elsewhere.
+    pub inputs: bool,
+    /// The outputs, those that the run folder lacks from the store.
+    pub outputs: bool,
+}
+
+/// Writes the archive (tar) of a run. Equal runs give equal bytes. The folder of the archive is made if there is none.
 ///
 /// # Errors
 ///
-/// When a file cannot be read or written.
-pub fn archive(run: &PastRun, store: &Store, outputs: bool, to: &Path) -> Result<Archived, HistoryError> {
+/// When a file cannot be read or written, or an input file is not what the run read.
+pub fn archive(run: &PastRun, store: &Store, contents: Contents, to: &Path) -> Result<Archived, HistoryError> {
     let folder = to.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     std::fs::create_dir_all(folder).map_err(HistoryError::io("make the folder", folder))?;
     // Its own error names the temporary file, which nobody has asked for.
@@ -58,7 +67,7 @@ pub fn archive(run: &PastRun, store: &Store, outputs: bool, to: &Path) -> Result
     let mut packing = Packing { tar: tar::Builder::new(BufWriter::new(file)), sums: BTreeMap::new(), to };
     packing.add(Path::new("README"), README.as_bytes())?;
     let made = made(&run.manifest);
-    for path in files_of(run, outputs)? {
+    for path in files_of(run, contents.outputs)? {
         let file = run.folder.join(&path);
         let bytes = std::fs::read(&file).map_err(HistoryError::io("read", &file))?;
         let bytes = match made.get(path.as_path()) {
@@ -67,8 +76,11 @@ pub fn archive(run: &PastRun, store: &Store, outputs: bool, to: &Path) -> Result
         };
         packing.add(&path, &bytes)?;
     }
-    let left_out = if outputs { packing.stored_outputs(run, store)? } else { Vec::new() };
-    let sources = source_files(&run.manifest.pipeline);
+    let left_out = if contents.outputs { packing.stored_outputs(run, store)? } else { Vec::new() };
+    if contents.inputs {
+        packing.inputs(run)?;
+    }
+    let sources = source_files(&run.manifest);
     for (path, text) in sources.map_err(|error| HistoryError::io("archive", &run.folder)(error.into()))? {
         packing.add(&Path::new("pipeline").join(path), text.as_bytes())?;
     }
@@ -149,6 +161,29 @@ fn files_of(run: &PastRun, outputs: bool) -> Result<Vec<PathBuf>, HistoryError> 
     Ok(found)
 }
 
+/// What stands before a file of so many bytes.
+fn header(size: u64) -> tar::Header {
+    let mut header = tar::Header::new_gnu();
+    header.set_size(size);
+    header.set_mode(0o644);
+    header.set_mtime(0);
+    header
+}
+
+/// A file that is hashed while it is read.
+struct Hashed<'a> {
+    file: std::io::Take<File>,
+    piece: &'a mut dyn FnMut(&[u8]),
+}
+
+impl Read for Hashed<'_> {
+    fn read(&mut self, buffer: &mut [u8]) -> std::io::Result<usize> {
+        let count = self.file.read(buffer)?;
+        (self.piece)(&buffer[..count]);
+        Ok(count)
+    }
+}
+
 struct Packing<'a> {
     tar: tar::Builder<BufWriter<tempfile::NamedTempFile>>,
     sums: BTreeMap<PathBuf, Digest>,
@@ -157,13 +192,53 @@ struct Packing<'a> {
 
 impl Packing<'_> {
     fn add(&mut self, path: &Path, bytes: &[u8]) -> Result<(), HistoryError> {
-        let mut header = tar::Header::new_gnu();
-        header.set_size(bytes.len() as u64);
-        header.set_mode(0o644);
-        header.set_mtime(0);
-        let added = self.tar.append_data(&mut header, path, bytes);
+        let added = self.tar.append_data(&mut header(bytes.len() as u64), path, bytes);
         added.map_err(HistoryError::io("write", self.to))?;
         self.sums.insert(path.to_owned(), Digest::of(bytes));
+        Ok(())
+    }
+
+    /// Adds the pipeline and the files it read, each where it lay beside the others.
+    fn inputs(&mut self, run: &PastRun) -> Result<(), HistoryError> {
+        let (texts, files) = (run.manifest.pipeline_files().collect::<Vec<_>>(), run.manifest.input_files());
+        let paths: Vec<&Path> =
+            texts.iter().map(|(path, _)| path.as_path()).chain(files.keys().map(PathBuf::as_path)).collect();
+        let places = run.manifest.places_in_archive(&paths);
+        let places = places.map_err(|error| HistoryError::io("archive", &run.folder)(error.into()))?;
+        let (of_texts, of_files) = places.split_at(texts.len());
+        for (place, (_, text)) in of_texts.iter().zip(&texts) {
+            self.add(place, text.as_bytes())?;
+        }
+        for (place, (path, digest)) in of_files.iter().zip(&files) {
+            if !self.sums.contains_key(&**place) {
+                self.add_file(place, path, *digest)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Adds a file of any size, which must have this digest.
+    fn add_file(&mut self, place: &Path, path: &Path, digest: Digest) -> Result<(), HistoryError> {
+        let is = std::fs::metadata(path).map_err(HistoryError::io("look at", path))?;
+        // A pipe that a made-up manifest names would be waited for.
+        if !is.is_file() {
+            return Err(HistoryError::InputChanged { path: path.to_owned(), digest });
+        }
+        let open = || File::open(path).map_err(HistoryError::io("read", path));
+        // Before anything of it is written: a made-up manifest may name a file of any size.
+        let (found, size) = Digest::of_reader(open()?).map_err(HistoryError::io("read", path))?;
+        if found != digest {
+            return Err(HistoryError::InputChanged { path: path.to_owned(), digest });
+        }
+        let file = open()?;
+        let (found, _, added) = Digest::of_pieces(|piece| {
+            self.tar.append_data(&mut header(size), place, Hashed { file: file.take(size), piece })
+        });
+        added.map_err(HistoryError::io("copy into the archive", path))?;
+        if found != digest {
+            return Err(HistoryError::InputChanged { path: path.to_owned(), digest });
+        }
+        self.sums.insert(place.to_owned(), digest);
         Ok(())
     }
 

@@ -8,10 +8,10 @@ use std::sync::Arc;
 
 use rockface_cache::{Cost, Digest, Outputs, RecipeInput, SafePath};
 use serde::{Deserialize, Serialize};
-use serde_json::Value;
+use serde_json::{Map, Value};
 
 use super::HistoryError;
-use crate::pipeline::Label;
+use crate::pipeline::{Copied, Label};
 
 /// Bytes that are written at a time.
 const PIECE_BYTES: usize = 64 << 10;
@@ -51,9 +51,19 @@ pub struct Manifest {
     /// The parts that steps come from, a use each.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub parts: Vec<PartUsed>,
+    /// Where its store is, absolute, if that is not the one beside the folder of runs.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub store: Option<PathBuf>,
+    /// What the items of an axis stand for, where they have several values: by axis, item and name of the value, as
+    /// `${axis.name}`. The points of a design, and the rows of a table that another step makes.
+    #[serde(default, skip_serializing_if = "ItemValues::is_empty")]
+    pub values: ItemValues,
     /// What became of each step instance. The last field: see [`Manifest::write`].
     pub steps: Vec<StepDone>,
 }
+
+/// The named values of items: by axis and item.
+pub type ItemValues = BTreeMap<String, BTreeMap<String, Map<String, Value>>>;
 
 /// The pipeline of a run.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -67,6 +77,9 @@ pub struct PipelineText {
     pub folder: PathBuf,
     /// The YAML text of the pipeline file, without what it includes.
     pub text: String,
+    /// The copy its files were read from, where it was run from an archive.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub copied: Option<Copied>,
     /// The files it includes, in the order they were met.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub included: Vec<IncludedText>,
@@ -173,6 +186,22 @@ pub struct FileUsed {
 }
 
 impl Manifest {
+    /// The names of the values that the items of an axis have, in the order of the first item that has them.
+    pub fn value_names(&self, axis: &str) -> Vec<&str> {
+        let mut names: Vec<&str> = Vec::new();
+        for name in self.values.get(axis).into_iter().flat_map(BTreeMap::values).flat_map(Map::keys) {
+            if !names.contains(&name.as_str()) {
+                names.push(name);
+            }
+        }
+        names
+    }
+
+    /// A value of an item of an axis; `None` where it has none of this name.
+    pub fn value(&self, axis: &str, item: &str, name: &str) -> Option<&Value> {
+        self.values.get(axis)?.get(item)?.get(name)
+    }
+
     /// Reads a manifest.
     ///
     /// # Errors
@@ -252,6 +281,39 @@ impl StepDone {
         }
         let items: Vec<String> = self.point.iter().map(|(axis, item)| format!("{axis}={item}")).collect();
         format!("{}[{}]", self.step, items.join(","))
+    }
+}
+
+#[cfg(test)]
+impl Manifest {
+    /// A run of the pipeline at `path`, in this folder.
+    pub fn of_test(path: &str, folder: &str, steps: Vec<StepDone>) -> Self {
+        let (path, folder) = (path.into(), folder.into());
+        Self {
+            format: FORMAT,
+            pipeline: PipelineText {
+                name: "p".into(),
+                path,
+                folder,
+                text: "include: …".into(),
+                copied: None,
+                included: Vec::new(),
+            },
+            overrides: Overridden::default(),
+            seed: 1,
+            targets: Vec::new(),
+            finished: String::new(),
+            wall_s: 0.0,
+            jobs: 1,
+            status: "done".to_owned(),
+            program: Value::Null,
+            headlines: Vec::new(),
+            laid_out: String::new(),
+            parts: Vec::new(),
+            store: None,
+            values: ItemValues::new(),
+            steps,
+        }
     }
 }
 

@@ -3,6 +3,7 @@
 mod archive;
 mod compare;
 mod contents;
+mod inputs;
 mod manifest;
 mod places;
 mod points;
@@ -12,10 +13,12 @@ mod torn;
 
 use std::path::{Path, PathBuf};
 
-pub use archive::{ARCHIVE_MARK, Archived, archive};
+pub use archive::{ARCHIVE_MARK, Archived, Contents, archive};
 pub use compare::{Comparison, Row, compare};
 pub use contents::{REPORT_FILE, RunContents};
-pub use manifest::{FORMAT, FileUsed, IncludedText, Manifest, Metric, Overridden, PartUsed, PipelineText, StepDone};
+pub use manifest::{
+    FORMAT, FileUsed, IncludedText, ItemValues, Manifest, Metric, Overridden, PartUsed, PipelineText, StepDone,
+};
 pub use places::{output_folder, readable_name};
 pub use points::{POINTS_FILE, table as points_table};
 pub use provenance::crate_metadata;
@@ -80,6 +83,17 @@ pub enum HistoryError {
         digest: rockface_cache::Digest,
         /// Where the run is reported.
         manifest: PathBuf,
+    },
+    /// An input file is not what the run read.
+    #[error(
+        "{} is not what the run read any more (BLAKE3 {} then): put it back, run the pipeline again, or archive without --inputs",
+        path.display(), digest.short()
+    )]
+    InputChanged {
+        /// The path of the file.
+        path: PathBuf,
+        /// The digest of what the run read.
+        digest: rockface_cache::Digest,
     },
     /// The store cannot be read.
     #[error(transparent)]

@@ -2,6 +2,8 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use serde_json::Value;
+
 use super::{Manifest, StepDone};
 
 /// The file of a run folder that has the table.
@@ -11,7 +13,7 @@ type Point = BTreeMap<String, String>;
 
 /// The table as CSV; `None` where no step has logged a number.
 ///
-/// Axes come first, in alphabetical order, then `step.metric [unit]`, in the order of the run. A row also has the numbers of steps
+/// Axes come first, in alphabetical order, each with the values that its items have (`axis.name`), then `step.metric [unit]`, in the order of the run. A row also has the numbers of steps
 /// that depend on fewer axes: those of the items it has in common with them. They have no row of their own beside it, so that means over
 /// rows count each once for every point. A cell is empty where a step has no instance at the point.
 pub fn table(manifest: &Manifest) -> Option<String> {
@@ -39,7 +41,9 @@ pub fn table(manifest: &Manifest) -> Option<String> {
     let sets: BTreeSet<BTreeSet<&str>> = at.keys().map(|point| point.keys().map(String::as_str).collect()).collect();
     let parts = parts(at.keys().copied(), &sets);
     let mut text = csv::Writer::from_writer(Vec::new());
-    text.write_record(axes.iter().copied().chain(columns.iter().map(String::as_str))).ok()?;
+    let axes: Vec<AxisColumns> =
+        axes.into_iter().map(|axis| AxisColumns { axis, values: manifest.value_names(axis) }).collect();
+    text.write_record(axes.iter().flat_map(AxisColumns::names).chain(columns.iter().cloned())).ok()?;
     for point in at.keys().filter(|point| !parts.contains(**point)) {
         let mut cells = vec![String::new(); columns.len()];
         for set in &sets {
@@ -47,10 +51,32 @@ pub fn table(manifest: &Manifest) -> Option<String> {
                 cells[*place] = value.to_string();
             }
         }
-        let items = axes.iter().map(|axis| point.get(*axis).map_or("", String::as_str));
-        text.write_record(items.chain(cells.iter().map(String::as_str))).ok()?;
+        text.write_record(axes.iter().flat_map(|axis| axis.cells(point, manifest)).chain(cells)).ok()?;
     }
     String::from_utf8(text.into_inner().ok()?).ok()
+}
+
+/// An axis, and the values that its items have.
+struct AxisColumns<'a> {
+    axis: &'a str,
+    values: Vec<&'a str>,
+}
+
+impl AxisColumns<'_> {
+    fn names(&self) -> impl Iterator<Item = String> {
+        let values = self.values.iter().map(|name| format!("{}.{name}", self.axis));
+        std::iter::once(self.axis.to_owned()).chain(values)
+    }
+
+    fn cells(&self, point: &Point, manifest: &Manifest) -> impl Iterator<Item = String> {
+        let item = point.get(self.axis);
+        let cell = move |name: &&str| match item.and_then(|item| manifest.value(self.axis, item, name)) {
+            None | Some(Value::Null) => String::new(),
+            Some(Value::String(text)) => text.clone(),
+            Some(value) => value.to_string(),
+        };
+        std::iter::once(item.cloned().unwrap_or_default()).chain(self.values.iter().map(cell))
+    }
 }
 
 /// The items of a point on some axes; `None` where it does not have all of them.
@@ -66,11 +92,11 @@ fn parts<'a>(points: impl Iterator<Item = &'a Point>, sets: &BTreeSet<BTreeSet<&
 }
 
 #[cfg(test)]
-mod tests {
+pub mod tests {
     use super::*;
-    use crate::history::{Metric, PipelineText};
+    use crate::history::Metric;
 
-    fn done(step: &str, point: &[(&str, &str)], metrics: &[(&str, f64, &str)]) -> StepDone {
+    pub fn done(step: &str, point: &[(&str, &str)], metrics: &[(&str, f64, &str)]) -> StepDone {
         let metric = |(name, value, unit): &(&str, f64, &str)| Metric {
             name: (*name).to_owned(),
             value: Some(*value),
@@ -97,29 +123,7 @@ mod tests {
     }
 
     fn manifest(steps: Vec<StepDone>) -> Manifest {
-        let pipeline = PipelineText {
-            name: "p".to_owned(),
-            path: "p.yaml".into(),
-            folder: "/".into(),
-            text: String::new(),
-            included: Vec::new(),
-        };
-        Manifest {
-            format: super::super::FORMAT,
-            pipeline,
-            overrides: super::super::Overridden::default(),
-            seed: 1,
-            targets: Vec::new(),
-            finished: String::new(),
-            wall_s: 0.0,
-            jobs: 1,
-            status: "done".to_owned(),
-            program: serde_json::Value::Null,
-            headlines: Vec::new(),
-            laid_out: String::new(),
-            parts: Vec::new(),
-            steps,
-        }
+        Manifest::of_test("p.yaml", "/", steps)
     }
 
     #[test]
@@ -135,5 +139,18 @@ mod tests {
         let expected = "sigma,trial,face.area [m2],score.rate,noise.std [m]\n0.5,0,12.5,0.75,\n0.7,0,12.5,0.5,0.01\n0.9,,12.5,,0.02\n";
         assert_eq!(table(&manifest(steps)).unwrap(), expected);
         assert_eq!(table(&manifest(Vec::new())), None);
+    }
+
+    #[test]
+    fn values_of_a_design_stand_beside_its_items() {
+        let steps = vec![
+            done("score", &[("at", "0"), ("trial", "7")], &[("rate", 0.75, "1")]),
+            done("score", &[("at", "1"), ("trial", "7")], &[("rate", 0.5, "1")]),
+        ];
+        let mut manifest = manifest(steps);
+        let values = serde_json::json!({"at": {"0": {"a_m": 0.1, "kind": "block"}, "1": {"a_m": 2.5}}});
+        manifest.values = serde_json::from_value(values).unwrap();
+        let expected = "at,at.a_m,at.kind,trial,score.rate\n0,0.1,block,7,0.75\n1,2.5,,7,0.5\n";
+        assert_eq!(table(&manifest).unwrap(), expected);
     }
 }

@@ -208,6 +208,11 @@ impl Reader<'_> {
     /// What a section declares, each under a name that can be one.
     fn named(&mut self, root: &mut Node, section: &str) -> Vec<(Key, Node)> {
         let Some(node) = root.take(section) else { return Vec::new() };
+        if let (Data::List(_), "steps") = (&node.data, section) {
+            let fault = Diagnostic::at(node.span, "`steps` is a list, and steps have names");
+            self.fault(fault.hint("write each step under its name, without a dash: `face: {stage: synthesise-face}`"));
+            return Vec::new();
+        }
         if self.any_map(&node, &format!("`{section}`")).is_none() {
             return Vec::new();
         }

@@ -1,6 +1,7 @@
 //! Pipelines as people write them: the YAML text, its faults, and the typed document.
 
 mod axis;
+mod base;
 mod design;
 mod document;
 mod file_text;
@@ -34,12 +35,13 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 pub use axis::{Axis, bad_item};
+pub use base::{Base, Copied, without_detours};
 pub use document::{Document, Unread};
 pub use file_text::is_stream;
 pub use input::Input;
 pub use log_level::{IN_FULL, LogLevel};
 pub use node::{Data, Key, Node, Word};
-pub use parameter::{Declared, ValueKind};
+pub use parameter::{Declared, ValueKind, with_point};
 pub use part::{INSIDE, Interface, KindCheck, PartInput, PartText, Used};
 pub use reference::{Label, Reference};
 pub use step::{Gaps, Step, Stream};
@@ -59,6 +61,8 @@ pub struct Pipeline {
     pub sources: Vec<Source>,
     /// The folder of the pipeline file.
     pub folder: PathBuf,
+    /// A copy from which input files are read; `None` if they are read where the pipeline says.
+    pub copied: Option<std::sync::Arc<Copied>>,
     /// The pipeline as types: axes, steps, parameters and targets, with parts written out.
     pub document: Document,
     /// What was read from included files and parts: the bytes that were parsed.
@@ -185,7 +189,7 @@ impl Pipeline {
         match document {
             Some(document) if whole => {
                 let Texts { sources, looks, .. } = texts;
-                Ok(Self { sources, folder, document, looks, faults })
+                Ok(Self { sources, folder, copied: None, document, looks, faults })
             }
             _ => Err(Diagnostics { sources: texts.sources, list: faults }),
         }

@@ -9,6 +9,13 @@ use super::reader::Reader;
 use super::substitute::mentioned;
 use crate::diagnostic::{Diagnostic, Span, listed};
 
+/// The way out for a text that is a number with a decimal comma.
+pub fn with_point(text: &str) -> Option<String> {
+    let number = text.replace(',', ".");
+    let is_number = text.contains(',') && number.parse::<f64>().is_ok();
+    is_number.then(|| format!("numbers are written with a point: {number}"))
+}
+
 /// A parameter with its type.
 #[derive(Debug, Clone)]
 pub struct Declared {
@@ -167,9 +174,8 @@ impl Declared {
             format!("parameter `{name}` cannot be {stray}: {}", self.range())
         };
         let mut fault = Diagnostic::at(span, message).also(self.name.span, format!("`{name}` is declared here"));
-        let with_point = value.as_str().map(|text| text.replace(',', "."));
-        if let Some(number) = with_point.filter(|text| text.parse::<f64>().is_ok() && !self.kind.fits(value)) {
-            fault = fault.hint(format!("numbers are written with a point: {number}"));
+        if let Some(hint) = value.as_str().filter(|_| !self.kind.fits(value)).and_then(with_point) {
+            fault = fault.hint(hint);
         }
         Some(if self.choices.is_empty() { fault } else { fault.hint(format!("one of: {}", self.choice_words())) })
     }

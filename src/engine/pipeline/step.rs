@@ -129,6 +129,14 @@ impl Reader<'_> {
 
     /// The inputs of a step, and whether some could not be read.
     pub fn inputs(&mut self, node: &Node) -> (Vec<(Word, Input)>, bool) {
+        if let Data::Scalar(Value::String(output)) = &node.data {
+            let fault = Diagnostic::at(node.span, format!("`in` does not say which port reads `{output}`"));
+            self.fault(
+                fault
+                    .hint(format!("write `in: {{PORT: {output}}}`; `rockface stages NAME` lists the ports of a stage")),
+            );
+            return (Vec::new(), true);
+        }
         let Some(entries) = self.any_map(node, "`in`") else { return (Vec::new(), true) };
         let mut inputs = Vec::with_capacity(entries.len());
         for (key, node) in entries {

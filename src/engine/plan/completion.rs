@@ -16,7 +16,7 @@ use serde_json::Value;
 use super::Stages;
 use super::parameters::{Place, told};
 use crate::diagnostic::{Source, Span};
-use crate::pipeline::{Data, Key, Node, Pipeline, Step};
+use crate::pipeline::{Base, Data, Key, Node, Pipeline, Step};
 
 /// How long a program may think about a question.
 const ANSWER_WITHIN: Duration = Duration::from_mins(1);
@@ -39,9 +39,10 @@ pub fn complete(pipeline: &mut Pipeline, stages: &Stages, no_programs: bool) {
         let stage = completed.iter().copied().find(|stage| stage.name() == step.stage.text);
         let Some(stage) = stage else { continue };
         let own = pipeline.sources.get(step.name.span.source).and_then(Source::folder);
-        let folder = own.map_or(pipeline.folder.as_path(), |folder| folder.as_ref());
+        let base =
+            Base::new(own.map_or_else(|| Arc::from(pipeline.folder.as_path()), Arc::clone), pipeline.copied.clone());
         let with = step.with.as_ref().map_or(Value::Null, |with| with.to_value());
-        let asker = Asker { folder, answers: &answers, looks: &looks };
+        let asker = Asker { base, answers: &answers, looks: &looks };
         let added = if no_programs { Err(vec![refused(*stage)]) } else { stage.complete(&with, &asker) };
         match added {
             Ok(added) => add(step, added),
@@ -95,7 +96,7 @@ fn node(value: Value, span: Span) -> Node {
 
 /// Asks programs for the stages, each question once.
 struct Asker<'a> {
-    folder: &'a Path,
+    base: Base,
     answers: &'a RefCell<HashMap<Question, Result<String, String>>>,
     looks: &'a RefCell<Vec<(PathBuf, Seen)>>,
 }
@@ -113,7 +114,7 @@ impl Planner for Asker<'_> {
     }
 
     fn path(&self, written: &str) -> PathBuf {
-        let path = self.folder.join(written);
+        let path = self.base.path(written);
         std::path::absolute(&path).unwrap_or(path)
     }
 

@@ -1,7 +1,7 @@
 //! The resolved graph of steps: every name found, every port checked, axes propagated along the arrows.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
@@ -10,7 +10,7 @@ use rockface_core::{AnyStage, Port, Ports};
 use serde_json::Value;
 
 use crate::diagnostic::Span;
-use crate::pipeline::{Axis, INSIDE, LogLevel, Node, Used, Word};
+use crate::pipeline::{Axis, Base, INSIDE, LogLevel, Node, Used, Word};
 
 /// A pipeline whose every name is resolved; steps are in topological order, and as they are written wherever that allows it.
 pub struct Graph {
@@ -93,8 +93,8 @@ pub struct GraphStep {
     pub stage: &'static dyn AnyStage,
     /// The ports it has with the parameters that are written.
     pub ports: Ports,
-    /// Paths in its parameters are relative to this folder.
-    pub folder: Arc<Path>,
+    /// What paths in its parameters are relative to.
+    pub base: Base,
     /// Its parameters as written.
     pub with: Option<Arc<Node>>,
     /// What feeds each given input port, in the stage's order of ports.

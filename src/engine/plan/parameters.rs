@@ -13,7 +13,7 @@ use super::graph::{Graph, GraphStep};
 use super::side_files;
 use super::sight::{Sight, one_file};
 use crate::diagnostic::{Diagnostic, Span, nearest};
-use crate::pipeline::{INSIDE, Node, filled, mentioned, parted, value_of};
+use crate::pipeline::{INSIDE, Node, filled, mentioned, parted, value_of, with_point};
 
 /// The column of a table that names its rows; without it they are numbered.
 pub const NAME_COLUMN: &str = "item";
@@ -162,7 +162,15 @@ pub fn told(place: &Place, with: &Value, fault: &Fault) -> Diagnostic {
     let message = format!("step `{}` ({}): {about}{}", place.step, place.stage.name(), fault.message);
     let written = fault.path.last().map_or_else(String::new, Clone::clone);
     let given = if fault.at_key { written } else { value_at(with, &fault.path) };
-    let fault = Diagnostic::at(at, message).suggest(&given, fault.known.iter().map(String::as_str));
+    let is_digits = fault.at_key && !given.is_empty() && given.bytes().all(|byte| byte.is_ascii_digit());
+    let fault = match with_point(&given) {
+        // `{cell_m: 0,05}` is read as `{cell_m: 0, 05: }`.
+        _ if is_digits => {
+            Diagnostic::at(at, message).hint("numbers are written with a point: a comma begins the next entry")
+        }
+        Some(hint) if !fault.at_key => Diagnostic::at(at, message).hint(hint),
+        _ => Diagnostic::at(at, message).suggest(&given, fault.known.iter().map(String::as_str)),
+    };
     // What a use gives stands beside the use; the step that it does not fit stands in the part.
     let is_given = place.step.contains(INSIDE) && at.source != place.span.source;
     if is_given { fault.also(place.span, format!("step `{}` stands here", place.step)) } else { fault }
@@ -259,7 +267,7 @@ impl Finder<'_> {
     }
 
     fn find(&mut self, written: &str, many: bool) -> Vec<InputFile> {
-        let path = self.step.folder.join(written);
+        let path = self.step.base.path(written);
         let listed = match written.trim() {
             "" => Err("a path is needed, and this one is empty".to_owned()),
             _ if many => self.sight.list(&path).map(side_files::left_out),
@@ -317,6 +325,10 @@ impl Finder<'_> {
     }
 }
 
+fn folder(path: &Path) -> String {
+    path.parent().unwrap_or(Path::new("")).display().to_string()
+}
+
 fn missing(span: Span, message: &str, written: &str, path: &Path) -> Diagnostic {
     let name = path.file_name().map_or_else(|| written.to_owned(), |name| name.to_string_lossy().into_owned());
     if written.trim().is_empty() || path.symlink_metadata().is_ok() {
@@ -331,8 +343,10 @@ fn missing(span: Span, message: &str, written: &str, path: &Path) -> Diagnostic 
     let names: Vec<String> = match beside {
         Some(Ok(entries)) => entries.flatten().map(|entry| entry.file_name().to_string_lossy().into_owned()).collect(),
         _ => {
-            return Diagnostic::at(span, message)
-                .hint("paths are relative to the folder of the pipeline file; the folder of this one does not exist");
+            return Diagnostic::at(span, message).hint(format!(
+                "paths are relative to the folder of the pipeline file; there is no folder {}",
+                folder(path)
+            ));
         }
     };
     match crate::diagnostic::nearest(&name, &names.iter().map(String::as_str).collect::<Vec<_>>()) {

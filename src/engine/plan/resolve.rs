@@ -16,7 +16,7 @@ use super::graph::{Dynamic, Graph, GraphStep};
 use super::points::too_many;
 use super::{Stages, parameters};
 use crate::diagnostic::{Diagnostic, Diagnostics, SHOWN, Source, Span, listed};
-use crate::pipeline::{Document, Node, Pipeline, Reference, Step, Word, escape_hint, mentioned, parted};
+use crate::pipeline::{Base, Copied, Document, Node, Pipeline, Reference, Step, Word, escape_hint, mentioned, parted};
 
 /// Resolves a pipeline; `targets` on the command line take the place of the document's.
 ///
@@ -68,6 +68,7 @@ pub struct Resolver<'d> {
     available: &'d Stages,
     /// The folder of the pipeline.
     folder: Arc<Path>,
+    copied: Option<Arc<Copied>>,
     /// The texts of the pipeline, of which each file has a folder.
     pub(super) sources: &'d [Source],
     /// By number in the graph: the axes of the step.
@@ -98,6 +99,7 @@ impl<'d> Resolver<'d> {
             faults: pipeline.faults.clone(),
             available,
             folder: Arc::from(pipeline.folder.as_path()),
+            copied: pipeline.copied.clone(),
             sources: &pipeline.sources,
             reach: Vec::new(),
             unsure: Vec::new(),
@@ -377,7 +379,7 @@ impl<'d> Resolver<'d> {
             written: old,
             stage,
             ports,
-            folder: self.folder_of(step.name.span),
+            base: Base::new(self.folder_of(step.name.span), self.copied.clone()),
             with: step.with.clone(),
             inputs,
             axes,

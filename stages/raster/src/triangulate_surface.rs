@@ -1,19 +1,19 @@
 //! `triangulate-surface`: turns an organised surface into a triangle mesh that other programs open.
 
 use crate::frame_change;
-use rockface_core::artefact::{Artefact, Kind, Mesh, Surface, Transform};
+use rockface_core::artefact::{Artefact, Kind, Mesh, Raster, Surface, Transform};
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
 
 params! {
     /// Parameters of `triangulate-surface`.
     pub struct TriangulateSurfaceParams {
-        /// Every so many rows and columns of points are taken; 1 takes them all.
+        /// Every so many rows and columns of points or cells are taken; 1 takes them all.
         step: u32 = 1; rockface_core::params::Range::AtLeast(1.0),
     }
 }
 
-/// Writes the points and triangles of an organised surface as a mesh (PLY), for other programs and for stages that
-/// take meshes.
+/// Writes the points and triangles of an organised surface, or of a raster of elevations, as a mesh (PLY), for other programs and
+/// for stages that take meshes.
 pub struct TriangulateSurface;
 
 impl Stage for TriangulateSurface {
@@ -22,7 +22,11 @@ impl Stage for TriangulateSurface {
     const VERSION: u32 = 1;
     const PAGE: Page = Page::new(include_str!("triangulate_surface.md"));
     const INPUTS: &'static [Port] = &[
-        Port::one("surface", &[Kind::Surface, Kind::Mesh], "From `fuse-depth` or `clean-mesh`; or a mesh."),
+        Port::one(
+            "surface",
+            &[Kind::Surface, Kind::Mesh, Kind::Raster],
+            "From `fuse-depth` or `clean-mesh`; a raster of elevations; or a mesh.",
+        ),
         Port::optional("transform", &[Kind::Transform], "Applied to every point, such as the way back to the world."),
     ];
     const OUTPUTS: &'static [Port] = &[Port::one("mesh", &[Kind::Mesh], "The same points and triangles.")];
@@ -32,6 +36,7 @@ impl Stage for TriangulateSurface {
         let mut mesh = match inputs.artefact("surface")? {
             Artefact::Mesh(_) if step > 1 => fail!("`step` thins the rows and columns of a surface; a mesh has none"),
             Artefact::Mesh(mesh) => mesh.clone(),
+            Artefact::Raster(raster) => of_raster(raster, step)?,
             _ => triangulate(inputs.one("surface")?, step),
         };
         if mesh.triangles.is_empty() {
@@ -62,6 +67,47 @@ fn triangulate(surface: &Surface, step: usize) -> Mesh {
     Mesh { frame: surface.frame, vertices, triangles, colours: Vec::new() }
 }
 
+/// The centres of cells with a value as vertices; a square is cut from its upper left to its lower right centre, and of a square
+/// with three values one triangle is left.
+fn of_raster(raster: &Raster, step: usize) -> Result<Mesh, StageError> {
+    let [band] = raster.bands.as_slice() else {
+        fail!("the raster has {} bands; one of elevations is needed", raster.bands.len())
+    };
+    if raster.quantity != "elevation" {
+        let message = format!("the raster holds a {}, and a mesh is made of elevations", raster.quantity);
+        return Err(StageError::new(message).hint("`quantity: elevation` of `import-rasters` says what a file holds"));
+    }
+    let grid = &raster.grid;
+    let is_there = |place: &usize| band.values[*place].is_finite();
+    let mut numbers = vec![u32::MAX; grid.cells()];
+    let (mut vertices, mut triangles) = (Vec::new(), Vec::new());
+    let mut vertex = |place: usize| {
+        if numbers[place] == u32::MAX {
+            numbers[place] = vertices.len() as u32;
+            let (x, y) = grid.centre(place / grid.columns, place % grid.columns);
+            vertices.push([x, y, f64::from(band.values[place])]);
+        }
+        numbers[place]
+    };
+    for row in (step..grid.rows).step_by(step) {
+        for column in (step..grid.columns).step_by(step) {
+            let at = |row: usize, column: usize| row * grid.columns + column;
+            let (a, b) = (at(row - step, column - step), at(row - step, column));
+            let (c, d) = (at(row, column), at(row, column - step));
+            let cut = match [a, b, c, d].map(|place| is_there(&place)) {
+                [true, true, true, true] => vec![[a, d, c], [a, c, b]],
+                [false, true, true, true] => vec![[b, d, c]],
+                [true, false, true, true] => vec![[a, d, c]],
+                [true, true, false, true] => vec![[a, d, b]],
+                [true, true, true, false] => vec![[a, c, b]],
+                _ => Vec::new(),
+            };
+            triangles.extend(cut.into_iter().map(|corners: [usize; 3]| corners.map(&mut vertex)));
+        }
+    }
+    Ok(Mesh { frame: raster.frame, vertices, triangles, colours: Vec::new() })
+}
+
 fn all(surface: &Surface) -> Vec<[usize; 3]> {
     let squares = (0..surface.height.saturating_sub(1))
         .flat_map(|row| (0..surface.width.saturating_sub(1)).map(move |column| (row, column)));
@@ -88,7 +134,7 @@ mod tests {
     use serde_json::json;
 
     use super::*;
-    use rockface_core::artefact::Frame;
+    use rockface_core::artefact::{Frame, Grid};
     use rockface_core::testing::{TestHost, run_stage};
 
     /// 3 x 3 points, rows down, with a hole in the last corner.
@@ -146,5 +192,24 @@ mod tests {
         assert!(
             made(&json!({"step": 2}), &[("surface", surface().into())]).unwrap_err().message.contains("no triangle")
         );
+    }
+
+    #[test]
+    fn a_raster_of_elevations_becomes_a_mesh() {
+        let grid = Grid { columns: 3, rows: 3, cell_m: 2.0, left_m: 100.0, top_m: 50.0 };
+        let values = vec![1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, f32::NAN];
+        let raster = Raster::single(grid, Frame::World, "elevation", "z", values);
+        let mesh = made(&json!({}), &[("surface", raster.clone().into())]).unwrap();
+        // Three squares of two triangles, and one with a corner less.
+        assert_eq!((mesh.vertices.len(), mesh.triangles.len(), mesh.frame), (8, 7, Frame::World));
+        let first = mesh.triangles[0].map(|corner| mesh.vertices[corner as usize]);
+        assert_eq!(first, [[101.0, 49.0, 1.0], [101.0, 47.0, 4.0], [103.0, 47.0, 5.0]]);
+        let turned = |[a, b, c]: [u32; 3]| {
+            let at = |corner: u32| nalgebra::Vector3::from(mesh.vertices[corner as usize]);
+            (at(b) - at(a)).cross(&(at(c) - at(a))).z
+        };
+        assert!(mesh.triangles.iter().all(|triangle| turned(*triangle) > 0.0));
+        let other = Raster { quantity: "difference".into(), ..raster };
+        assert!(made(&json!({}), &[("surface", other.into())]).unwrap_err().message.contains("holds a difference"));
     }
 }

@@ -6,12 +6,15 @@ use std::time::SystemTime;
 
 use rockface_cache::{Digest, RecipeInput, Store};
 use rockface_core::Entry;
+use serde_json::{Map, Value};
 
 use super::files::failed;
 use super::lay_out::{Laid, Paths};
 use crate::diagnostic::{Origin, Source};
-use crate::history::{FORMAT, FileUsed, IncludedText, Manifest, Metric, Overridden, PartUsed, PipelineText, StepDone};
-use crate::pipeline::Used;
+use crate::history::{
+    FORMAT, FileUsed, IncludedText, ItemValues, Manifest, Metric, Overridden, PartUsed, PipelineText, StepDone,
+};
+use crate::pipeline::{Axis, Used};
 use crate::plan::Plan;
 use crate::run::{RunError, RunFolder, Summary};
 
@@ -42,8 +45,39 @@ pub fn manifest(
         headlines: headlines.to_vec(),
         laid_out: if laid.unnamed == 0 { "all" } else { "some" }.to_owned(),
         parts: plan.graph.uses.iter().map(part_used).collect(),
+        store: store_elsewhere(store, about)?,
+        values: item_values(&plan.graph.axes),
         steps: steps.collect(),
     })
+}
+
+/// The store, unless it is where commands look for it by themselves.
+fn store_elsewhere(store: &Store, about: &RunFolder) -> Result<Option<PathBuf>, RunError> {
+    let absolute = |path: &Path| std::path::absolute(path).map_err(failed(path));
+    let (own, runs) = (absolute(store.dir())?, absolute(about.runs)?);
+    let is_beside = runs.parent().is_some_and(|folder| folder.join("store") == own);
+    Ok((!is_beside).then_some(own))
+}
+
+/// What items stand for, where that is several values. Axes of parts that share a label and differ have none: points name labels.
+fn item_values(axes: &[Axis]) -> ItemValues {
+    let mut all = ItemValues::new();
+    let mut unlike: Vec<&str> = Vec::new();
+    for axis in axes {
+        let named = axis.items.iter().zip(&*axis.values).filter_map(|(item, value)| {
+            let single = value.as_object()?.iter().filter(|(_, value)| !value.is_object() && !value.is_array());
+            let values: Map<String, Value> = single.map(|(name, value)| (name.clone(), value.clone())).collect();
+            (!values.is_empty()).then(|| (item.clone(), values))
+        });
+        let named: BTreeMap<_, _> = named.collect();
+        match all.get(&axis.label) {
+            Some(other) if *other != named => unlike.push(&axis.label),
+            None if !named.is_empty() => drop(all.insert(axis.label.clone(), named)),
+            _ => {}
+        }
+    }
+    all.retain(|label, _| !unlike.contains(&label.as_str()));
+    all
 }
 
 fn part_used(used: &Used) -> PartUsed {
@@ -66,6 +100,7 @@ fn pipeline_text(plan: &Plan, about: &RunFolder) -> Result<PipelineText, RunErro
         path: about.pipeline_path.to_owned(),
         folder: absolute(&plan.graph.folder)?,
         text: about.pipeline.text().to_owned(),
+        copied: about.pipeline.copied.as_deref().cloned(),
         included: included.collect::<Result<_, RunError>>()?,
     })
 }

@@ -1,5 +1,6 @@
 //! `score-detections`: labels what was found against the ground truth, and counts.
 
+use crate::detection::clusters;
 use crate::detection::compared;
 use crate::detection::compared::Side;
 use crate::detection::score;
@@ -10,6 +11,10 @@ use rockface_core::params::Range;
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
 use rockface_raster::{columns, grid};
 use rockface_rock::rockfall::ground_truth::outline;
+
+/// So many labels at most may be classes instead, and so many places at least are more than one loss leaves.
+const CLASSES: usize = 2;
+const SCATTERED: usize = 4;
 
 params! {
     /// Parameters of `score-detections`.
@@ -31,7 +36,7 @@ pub struct ScoreDetections;
 impl Stage for ScoreDetections {
     type Params = ScoreDetectionsParams;
     const NAME: &'static str = "score-detections";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PAGE: Page = Page::new(include_str!("score_detections.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("truth", &[Kind::Inventory], "What is true, such as the ground truth of `remove-blocks`."),
@@ -55,7 +60,7 @@ impl Stage for ScoreDetections {
             fail!("the raster at `grid` has {} bands, one is needed", searched.bands.len())
         };
         let seen: Vec<bool> = band.values.iter().map(|value| !value.is_nan()).collect();
-        let detections = detections(inputs.artefact("detections")?, searched, &seen)?;
+        let detections = detections(inputs.artefact("detections")?, searched, &seen, context)?;
         for (name, frame) in [("truth", truth.frame), ("detections", detections.frame)] {
             if frame != searched.frame {
                 fail!("the {name} are in the {frame} frame, the grid in the {} frame", searched.frame);
@@ -89,7 +94,7 @@ impl Stage for ScoreDetections {
 }
 
 /// The detections as an inventory; labels get outlines, and volumes from the difference they lie on.
-fn detections(given: &Artefact, searched: &Raster, seen: &[bool]) -> Result<Inventory, StageError> {
+fn detections(given: &Artefact, searched: &Raster, seen: &[bool], context: &Context) -> Result<Inventory, StageError> {
     let labels = match given {
         Artefact::Inventory(inventory) => return Ok(inventory.clone()),
         Artefact::Raster(labels) => labels,
@@ -110,9 +115,25 @@ fn detections(given: &Artefact, searched: &Raster, seen: &[bool]) -> Result<Inve
         let values = [f64::from(label), volume, cells.len() as f64].map(Cell::from).to_vec();
         Feature { outline: outline::polygons(grid, &places), values }
     };
-    let features = compared::labelled(labels, seen)?.into_iter().map(feature).collect();
+    let labelled = compared::labelled(labels, seen)?;
+    warn_of_classes(&labelled, grid.columns, seen.len(), context);
+    let features = labelled.into_iter().map(feature).collect();
     let columns = ["id", "volume_m3", "cells"].map(str::to_owned).to_vec();
     Ok(Inventory { frame: labels.frame, columns, features })
+}
+
+/// Says where one or two labels lie in many places: a map of classes in the place of labels makes one detection of all that was found.
+fn warn_of_classes(labelled: &[(u32, Vec<usize>)], columns: usize, cells: usize, context: &Context) {
+    for (label, own) in labelled.iter().filter(|_| labelled.len() <= CLASSES) {
+        let mut mask = vec![false; cells];
+        own.iter().for_each(|cell| mask[*cell] = true);
+        let parts = clusters::groups(&mask, columns).len();
+        if parts >= SCATTERED {
+            context.warn(format!(
+                "label {label} lies in {parts} places that do not touch, and counts as one detection: give each of them a number of its own, as `scipy.ndimage.label` does"
+            ));
+        }
+    }
 }
 
 fn column(inventory: &Inventory, name: &str, whose: &str) -> Result<Vec<Option<f64>>, StageError> {
@@ -236,6 +257,11 @@ fn report(summary: &Table, context: &Context) {
         0.0 => String::new(),
         hidden => format!("; {hidden} more cannot be seen on this grid and are in no rate"),
     };
+    if count("hidden") > count("found") + count("missed") {
+        context.warn(
+            "most of the true changes lie where the difference has no value: let blocks fall where the survey looks, such as in a zone that `crop-raster` cuts to a window (port `zone` of `remove-blocks`)",
+        );
+    }
     context.headline(format!(
         "{} of {} changes found, {} false {}: precision {}, recall {}, F1 {}{hidden}",
         count("found"),

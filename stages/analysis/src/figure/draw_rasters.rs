@@ -38,7 +38,7 @@ pub struct DrawRasters;
 impl Stage for DrawRasters {
     type Params = DrawRastersParams;
     const NAME: &'static str = "draw-rasters";
-    const VERSION: u32 = 5;
+    const VERSION: u32 = 6;
     const PAGE: Page = Page::new(include_str!("draw_rasters.md"));
     const INPUTS: &'static [Port] = &[
         Port::many("rasters", &[Kind::Raster], "The first row: a stack of bands, or gathered."),
@@ -102,8 +102,18 @@ fn draw(params: &DrawRastersParams, like: &Raster, lists: &[Vec<Tile>; 2]) -> Re
         subtitle: format!("each {} x {} cells of {}", like.grid.columns, like.grid.rows, length(like.grid.cell_m)),
         up: None,
     };
-    let names: Vec<String> = tiles().map(|(name, _)| name.clone()).collect();
+    let names = told_apart(&tiles().map(|(name, _)| name.as_str()).collect::<Vec<_>>());
     mosaic.draw(&subject, &names, max_width_px).map_err(|e| StageError::new(e.to_string()))
+}
+
+/// The names, those that occur more than once with a number behind them.
+fn told_apart(names: &[&str]) -> Vec<String> {
+    let numbered = |(place, name): (usize, &&str)| {
+        let before = names[..place].iter().filter(|other| *other == name).count();
+        let after = names[place + 1..].contains(name);
+        if before > 0 || after { format!("{name} {}", before + 1) } else { (*name).to_owned() }
+    };
+    names.iter().enumerate().map(numbered).collect()
 }
 
 #[cfg(test)]
@@ -139,6 +149,7 @@ mod tests {
             names(&[(&at, &raster(40, 1)), (&at, &stack)], Some("simulated")),
         );
         assert_eq!(of_stack, ["a", "a"]);
+        assert_eq!(told_apart(&["a", "b", "a"]), ["a 1", "b", "a 2"]);
         assert_eq!(of_axis, ["simulated, replicate 3", "simulated, replicate 3, a"]);
         assert!(drawn(raster(40, 5), raster(40, 2)).unwrap().png.starts_with(b"\x89PNG"));
         let strength = || Raster { quantity: "strength".into(), ..raster(40, 1) };

@@ -34,7 +34,7 @@ pub struct DrawRockfall;
 impl Stage for DrawRockfall {
     type Params = DrawRockfallParams;
     const NAME: &'static str = "draw-rockfall";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const PAGE: Page = Page::new(include_str!("draw_rockfall.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("face", &[Kind::Mesh, Kind::Surface, Kind::Raster], "The face, or its elevation."),

@@ -16,7 +16,13 @@ pub struct CrsName(pub String);
 impl CrsName {
     fn stated(&self) -> Result<Stated, String> {
         match super::codes(&self.0) {
-            Some((code, height)) => Stated::from_epsg(code, height),
+            Some((code, height)) => Stated::from_epsg(code, height).map_err(|why| {
+                let is_of_the_map = super::definition(code).is_none();
+                if !is_of_the_map {
+                    return why;
+                }
+                format!("{why}: give its definition, which `gdalsrsinfo -o wkt1 EPSG:{code}` prints")
+            }),
             None if self.0.contains(['[', '(']) => Stated::from_wkt(&self.0),
             None => Err(format!("`{}` is not a code such as EPSG:28356, nor well-known text", self.0)),
         }

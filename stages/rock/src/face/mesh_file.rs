@@ -13,6 +13,14 @@ pub fn read(bytes: &[u8], cancelled: &dyn Fn() -> bool) -> Result<Mesh, CodecErr
         ply::read_mesh(bytes)
     } else if bytes.starts_with(b"LASF") {
         Err(CodecError::new("it is a LAS or LAZ point cloud; `import-cloud` makes a mesh of it"))
+    } else if [b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"].iter().any(|start| bytes.starts_with(*start)) {
+        Err(CodecError::new(
+            "it is a TIFF: `import-rasters` reads elevations, and `triangulate-surface` makes a mesh of them",
+        ))
+    } else if bytes.starts_with(b"glTF") {
+        Err(CodecError::new(
+            "it is glTF, which is not read: write the mesh as PLY, OBJ or STL (Blender and MeshLab do)",
+        ))
     } else if obj::is_obj(bytes) {
         obj::read(bytes, cancelled)
     } else if stl::is_stl(bytes) {

@@ -6,7 +6,7 @@ use serde::Deserialize;
 use serde_json::{Map, Value, json};
 
 use super::super::declared::Declared;
-use super::INTERPRETER;
+use super::{INTERPRETER, types};
 use rockface_core::Planner;
 use rockface_core::params::{Fault, ParamType};
 
@@ -104,7 +104,7 @@ fn merged(with: &Value, described: Described) -> Result<Map<String, Value>, Vec<
     }
     // Defaults are filled in, so that it makes no difference whether they are written.
     let mut params = with.get("params").and_then(Value::as_object).cloned().unwrap_or_default();
-    for (name, kind) in &types {
+    for (name, kind) in types.iter().filter(|(_, kind)| !types::is_file(kind)) {
         if let (Some(default), false) = (kind.get("default"), params.contains_key(name)) {
             params.insert(name.clone(), default.clone());
         }

@@ -18,7 +18,7 @@ fn parameters_are_checked_against_the_types_of_the_function() {
     let types = json!({
         "count": {"type": "integer", "min": 1.0, "max": 9.0}, "word": {"type": "any", "choices": ["a", "b"]},
         "list": {"type": "list", "of": {"type": "number"}}, "perhaps": {"type": "number", "optional": true},
-        "model": {"type": "file"}, "needed": {"type": "text"},
+        "model": {"type": "file"}, "extra": {"type": "file", "default": null}, "needed": {"type": "text"},
     });
     let given = json!({"count": 12, "word": "c", "list": [1, "x"], "perhaps": null, "cout": 1, "model": "m.pt"});
     let faults = Python::check(&params(&types, &given));

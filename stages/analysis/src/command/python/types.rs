@@ -9,27 +9,26 @@ use rockface_core::params::Fault;
 pub fn check(params: &PythonParams) -> Vec<Fault> {
     let mut faults = Vec::new();
     for (name, value) in &params.params {
-        let kind = params.types.get(name).filter(|kind| word(kind) != "file");
+        let kind = params.types.get(name).filter(|kind| !is_file(kind));
         let message = match kind {
             Some(kind) => fault(kind, value),
             None if params.types.contains_key(name) => Some("it is a file: name it under `files`".to_owned()),
             None => {
-                faults.push(unknown(params, name, "params", |kind| kind != "file"));
+                faults.push(unknown(params, name, "params", |kind| !is_file(kind)));
                 continue;
             }
         };
         faults.extend(message.map(|message| Fault::new(message).below(name).below("params")));
     }
     for name in params.files.keys() {
-        if params.types.get(name).is_none_or(|kind| word(kind) != "file") {
-            faults.push(unknown(params, name, "files", |kind| kind == "file"));
+        if params.types.get(name).is_none_or(|kind| !is_file(kind)) {
+            faults.push(unknown(params, name, "files", is_file));
         }
     }
     for (name, kind) in &params.types {
-        let is_file = word(kind) == "file";
-        let given = if is_file { params.files.contains_key(name) } else { params.params.contains_key(name) };
+        let given = if is_file(kind) { params.files.contains_key(name) } else { params.params.contains_key(name) };
         if !given && kind.get("default").is_none() {
-            let section = if is_file { "files" } else { "params" };
+            let section = if is_file(kind) { "files" } else { "params" };
             let message = format!("`{name}` ({}) of the function is missing under `{section}`", word(kind));
             faults.push(Fault::new(message));
         }
@@ -37,12 +36,17 @@ pub fn check(params: &PythonParams) -> Vec<Fault> {
     faults
 }
 
+/// Whether it is a file, which stands under `files`.
+pub fn is_file(kind: &Value) -> bool {
+    word(kind) == "file"
+}
+
 fn word(kind: &Value) -> &str {
     kind.get("type").and_then(Value::as_str).unwrap_or("any")
 }
 
-fn unknown(params: &PythonParams, name: &str, section: &str, fits: impl Fn(&str) -> bool) -> Fault {
-    let known = params.types.iter().filter(|(_, kind)| fits(word(kind))).map(|(name, _)| name.clone()).collect();
+fn unknown(params: &PythonParams, name: &str, section: &str, fits: impl Fn(&Value) -> bool) -> Fault {
+    let known = params.types.iter().filter(|(_, kind)| fits(kind)).map(|(name, _)| name.clone()).collect();
     let message = format!("the function `{}` has no such parameter `{name}`", params.function);
     let fault = Fault { path: vec![name.to_owned()], known, at_key: true, ..Fault::new(message) };
     fault.below(section)

@@ -155,6 +155,22 @@ fn labels_of_another_program_are_scored_the_same_way() {
 }
 
 #[test]
+fn a_mask_in_the_place_of_labels_is_warned_of() {
+    let warnings = |numbers: [f32; 4]| {
+        let mut labels = vec![0.0f32; GRID.cells()];
+        (0..4).for_each(|i| labels[(1 + 2 * i) * 20 + 1..(1 + 2 * i) * 20 + 3].fill(numbers[i]));
+        let raster = Raster::single(GRID, Frame::Wall, "label", "l", labels);
+        let inputs = [("truth", truth().into()), ("detections", raster.into()), ("grid", searched().into())];
+        let host = TestHost::default();
+        run_stage::<ScoreDetections>(&host, &json!({}), &inputs).unwrap();
+        host.warnings()
+    };
+    let told = warnings([1.0; 4]);
+    assert!(told.len() == 1 && told[0].starts_with("label 1 lies in 4 places that do not touch"), "{told:?}");
+    assert!(warnings([1.0, 2.0, 3.0, 4.0]).is_empty() && warnings([1.0, 1.0, 2.0, 2.0]).is_empty());
+}
+
+#[test]
 fn nothing_found_is_a_result_and_a_wrong_column_is_not() {
     let (summary, ..) = run(inventory("volume_m3", &[]).into(), &json!({})).unwrap();
     check(&summary, &[("detections", 0.0), ("recall", 0.0), ("f1", 0.0)]);

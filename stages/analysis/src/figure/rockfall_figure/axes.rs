@@ -13,6 +13,22 @@ const LEFT: usize = 66;
 const BELOW: usize = 56;
 const ABOVE: usize = 34;
 
+/// Distance of the lines of a note, units, and the share of the width from which notes on the right may stand.
+const NOTE_LINE: usize = 24;
+const NOTE_FROM: f64 = 0.35;
+
+/// Where the notes of a plot stand.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Corner {
+    /// From the top downwards, flush right.
+    UpperRight,
+    /// So many lines above the horizontal axis, flush left.
+    LowerLeft {
+        /// Lines of the notes.
+        lines: usize,
+    },
+}
+
 /// A plot whose axes hold whole decades.
 #[derive(Debug, Clone, Copy)]
 pub struct Decades {
@@ -87,10 +103,28 @@ impl Decades {
         [left as f64 + share(x, self.x) * width as f64, top as f64 + (1.0 - share(y, self.y)) * height as f64]
     }
 
-    /// A text in the upper right corner, so many lines down.
-    pub fn note(&self, canvas: &mut Canvas, pen: &Pen, line: usize, text: &str) {
-        let x = (self.frame.left + self.frame.width - 12) as f32;
-        canvas.text(pen, x, (self.frame.top + 20 + 24 * line) as f32, Align::Right, text);
+    /// Where notes of so many lines cover none of these places: the upper right corner if it is free, else the lower left one,
+    /// which falling curves leave free.
+    pub fn corner(&self, lines: usize, places: impl IntoIterator<Item = Place>) -> Corner {
+        let left = self.frame.left as f64 + NOTE_FROM * self.frame.width as f64;
+        let bottom = (self.frame.top + 14 + NOTE_LINE * lines) as f64;
+        if places.into_iter().any(|[x, y]| x > left && y < bottom) {
+            Corner::LowerLeft { lines }
+        } else {
+            Corner::UpperRight
+        }
+    }
+
+    /// A text in a corner, so many lines down from the first.
+    pub fn note(&self, canvas: &mut Canvas, pen: &Pen, corner: Corner, line: usize, text: &str) {
+        let Frame { left, top, width, height } = self.frame;
+        let (x, first, align) = match corner {
+            Corner::UpperRight => (left + width - 12, top + 20, Align::Right),
+            Corner::LowerLeft { lines } => {
+                (left + 12, (top + height + 4).saturating_sub(NOTE_LINE * lines), Align::Left)
+            }
+        };
+        canvas.text(pen, x as f32, (first + NOTE_LINE * line) as f32, align, text);
     }
 }
 

@@ -8,7 +8,7 @@ use crate::figure::picture::{brightness, draw_scale};
 use rockface_core::artefact::{CodecError, Grid, Polygon};
 use rockface_core::numerics::portable_math;
 
-use super::{FAINT, Figure, INK, strokes, volume};
+use super::{FAINT, Figure, INK, strokes, volume_beside};
 
 /// Room for the colour bar to the right, units.
 pub const BAR: usize = 160;
@@ -157,11 +157,12 @@ fn draw_bar(
         canvas.fill(x, top + row, BAR_WIDTH, 1, scale.colour(scale.high - (scale.high - scale.low) * share));
     }
     canvas.frame(x, top, BAR_WIDTH, height, FAINT);
+    let largest = portable_math::pow(10.0, scale.high);
     for tick in 0..5 {
         let share = f64::from(tick) / 4.0;
         let value = portable_math::pow(10.0, scale.high - (scale.high - scale.low) * share);
         let y = top as f64 + share * height as f64;
-        canvas.text(&pen, (x + BAR_WIDTH + 8) as f32, y as f32, Align::Left, &volume(value));
+        canvas.text(&pen, (x + BAR_WIDTH + 8) as f32, y as f32, Align::Left, &volume_beside(value, largest));
     }
     Ok(())
 }

@@ -5,7 +5,7 @@ use rockface_core::artefact::CodecError;
 use rockface_rock::rockfall::power_law;
 
 use super::axes::{Decades, decades};
-use super::{ACCENT, FAINT, Figure, Frame, INK, strokes};
+use super::{ACCENT, FAINT, Figure, Frame, INK, pieces, strokes};
 
 const REQUESTED: [u8; 3] = [70, 120, 180];
 
@@ -25,6 +25,9 @@ pub fn draw(canvas: &mut Canvas, figure: &Figure, panel: Frame) -> Result<(), Co
     for (volume, number) in power_law::curve(&volumes) {
         strokes::dot(canvas, axes.place(volume, number as f64), 3.2, [150, 152, 160]);
     }
+    let drawn = [power_law::curve(&volumes), requested].concat();
+    let lines = if figure.requested_m3.is_empty() { 2 } else { 3 };
+    let corner = axes.corner(lines, drawn.iter().map(|(volume, number)| axes.place(*volume, *number as f64)));
     let plain = |colour| Pen::plain(18.0, colour);
     if let (Some(law), Some(last)) = (figure.law, volumes.last()) {
         let end = axes.place(*last, law.number_from(*last).max(1.0));
@@ -32,14 +35,14 @@ pub fn draw(canvas: &mut Canvas, figure: &Figure, panel: Frame) -> Result<(), Co
         let end = if largest < *last { axes.place(largest, 1.0) } else { end };
         strokes::line(canvas, axes.place(law.minimum, law.count as f64), end, 2.4, ACCENT);
         let text = format!("b = {:.2} \u{b1} {:.2}", law.exponent, law.standard_error);
-        axes.note(canvas, &plain(ACCENT)?, 0, &text);
-        let text = format!("{} of {} pieces", law.count, volumes.len());
-        axes.note(canvas, &plain(FAINT)?, 1, &text);
+        axes.note(canvas, &plain(ACCENT)?, corner, 0, &text);
+        let text = format!("{} of {}", law.count, pieces(volumes.len()));
+        axes.note(canvas, &plain(FAINT)?, corner, 1, &text);
     } else {
-        axes.note(canvas, &plain(INK)?, 0, "too few for a law");
+        axes.note(canvas, &plain(INK)?, corner, 0, "too few for a law");
     }
     if !figure.requested_m3.is_empty() {
-        axes.note(canvas, &plain(REQUESTED)?, 2, &format!("{} asked for", figure.requested_m3.len()));
+        axes.note(canvas, &plain(REQUESTED)?, corner, 2, &format!("{} asked for", figure.requested_m3.len()));
     }
     Ok(())
 }

@@ -110,15 +110,24 @@ fn titles(canvas: &mut Canvas, figure: &Figure) -> Result<(), CodecError> {
     canvas.text(&Pen::bold(30.0, INK)?, x, y + 10.0, Align::Left, &figure.title);
     let sum = figure.rockfalls.iter().fold(0.0, |sum, fall| sum + fall.removed_m3);
     let count = figure.rockfalls.len();
-    let text = format!("{count} pieces, {} of rock", volume(sum));
+    let text = format!("{}, {} of rock", pieces(count), volume(sum));
     canvas.text(&Pen::plain(20.0, FAINT)?, x, y + 44.0, Align::Left, &text);
     Ok(())
 }
 
+fn pieces(count: usize) -> String {
+    if count == 1 { "1 piece".to_owned() } else { format!("{count} pieces") }
+}
+
 /// A volume with three digits in the unit people would write.
 fn volume(volume_m3: f64) -> String {
-    let (value, unit) = if volume_m3 < 0.1 { (volume_m3 * 1e3, "dm\u{b3}") } else { (volume_m3, "m\u{b3}") };
-    let digits = if value > 0.0 { (2.0 - portable_math::log10(value).floor()).clamp(0.0, 6.0) as usize } else { 0 };
+    volume_beside(volume_m3, volume_m3)
+}
+
+/// A volume with three digits in the unit people would write another in.
+fn volume_beside(volume_m3: f64, other_m3: f64) -> String {
+    let (value, unit) = if other_m3 < 0.1 { (volume_m3 * 1e3, "dm\u{b3}") } else { (volume_m3, "m\u{b3}") };
+    let digits = if value > 0.0 { (2.0 - portable_math::log10(value).floor()).clamp(0.0, 9.0) as usize } else { 0 };
     format!("{value:.digits$} {unit}")
 }
 
@@ -152,6 +161,14 @@ mod tests {
         let info = |file: &[u8]| png::Decoder::new(std::io::Cursor::new(file)).read_info().unwrap().info().width;
         assert_eq!((info(&with), info(&without), info(&fine)), (1000, 1000, 2600));
         assert_ne!(with, without);
+    }
+
+    #[test]
+    fn volumes_of_a_scale_have_one_unit() {
+        let beside = |volume| volume_beside(volume, 0.25);
+        assert_eq!([0.25, 0.0525, 0.000_001_1].map(beside), ["0.250 m\u{b3}", "0.0525 m\u{b3}", "0.00000110 m\u{b3}"]);
+        assert_eq!(volume_beside(0.02, 0.09), "20.0 dm\u{b3}");
+        assert_eq!([1, 2].map(pieces), ["1 piece", "2 pieces"]);
     }
 
     #[test]

@@ -5,7 +5,7 @@ use crate::figure::colour_scale::ColourScale;
 use rockface_core::artefact::CodecError;
 use rockface_core::numerics::portable_math;
 
-use super::axes::{Decades, decades};
+use super::axes::{Corner, Decades, decades};
 use super::{FAINT, Figure, Frame, strokes};
 
 /// Draws the panel; the dashed line is a block removed whole.
@@ -21,7 +21,7 @@ pub fn draw(canvas: &mut Canvas, figure: &Figure, scale: &ColourScale, panel: Fr
         strokes::dot(canvas, axes.place(*block, *removed), 4.0, scale.colour(portable_math::log10(*removed)));
     }
     if pairs.is_empty() {
-        axes.note(canvas, &Pen::plain(18.0, FAINT)?, 0, "no blocks are known");
+        axes.note(canvas, &Pen::plain(18.0, FAINT)?, Corner::UpperRight, 0, "no blocks are known");
     }
     Ok(())
 }
