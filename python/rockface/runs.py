@@ -303,7 +303,9 @@ class Run:
             for own, by_items in numbers.items():
                 known.update(by_items.get(tuple(items[axis] for axis in own), {}))
             typed = _items(items)
-            cells = [[typed[axis], *(values.get(axis, {}).get(items[axis], {}).get(name) for name in names[axis])] for axis in wanted]
+            cells = [
+                [typed[axis], *(values.get(axis, {}).get(items[axis], {}).get(name) for name in names[axis])] for axis in wanted
+            ]
             rows.append([*itertools.chain(*cells), *(known.get(name) for name in units)])
         columns = [[axis, *(f"{axis}.{name}" for name in names[axis])] for axis in wanted]
         return Table([*itertools.chain(*columns), *units], rows, units)
