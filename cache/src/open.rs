@@ -51,9 +51,19 @@ pub(crate) const WORKERS: &str = "workers";
 /// The folder of the leases between machines.
 pub(crate) const LEASES: &str = "leases";
 
+/// The folders that every store has.
+const FOLDERS: [&str; 8] = [BLOBS, SEGMENTS, QUARANTINE, TMP, SCRATCH, LIVE, TREES, ANSWERS];
+/// The file that backup programs ask for.
+const TAG: &str = "CACHEDIR.TAG";
+
 /// Whether `dir` is a store of this format.
 pub(crate) fn is_current(dir: &Path) -> bool {
     format_of(&dir.join("format")).is_ok_and(|found| found.trim_end() == FORMAT)
+}
+
+/// Whether `dir` is a store of this format to which opening adds nothing.
+pub(crate) fn is_whole(dir: &Path) -> bool {
+    is_current(dir) && FOLDERS.iter().all(|folder| plain::is_folder(&dir.join(folder))) && dir.join(TAG).exists()
 }
 
 /// The beginning of what the file of the format says.
@@ -82,7 +92,7 @@ pub(crate) fn prepare(dir: &Path, machine: &Machine) -> Result<(), StoreError> {
         Err(fault) if plain::is_foreign(&fault) => return Err(StoreError::Foreign { path: format }),
         Err(fault) => return Err(StoreError::io("read", &format, fault)),
     }
-    for folder in [BLOBS, SEGMENTS, QUARANTINE, TMP, SCRATCH, LIVE, TREES, ANSWERS] {
+    for folder in FOLDERS {
         // Files there may be removed or overwritten, so it must not be another folder.
         plain::folder(&dir.join(folder))?;
     }
@@ -90,8 +100,8 @@ pub(crate) fn prepare(dir: &Path, machine: &Machine) -> Result<(), StoreError> {
         plain::folder(&dir.join(LEASES))?;
         [TMP, SCRATCH, LIVE].iter().try_for_each(|folder| plain::folder(&machine.folder(folder)))?;
     }
-    if !dir.join("CACHEDIR.TAG").exists() {
-        write_whole(dir, "CACHEDIR.TAG", CACHE_TAG)?;
+    if !dir.join(TAG).exists() {
+        write_whole(dir, TAG, CACHE_TAG)?;
     }
     if is_new {
         sync_names(dir, &outside)?;

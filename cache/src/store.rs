@@ -107,6 +107,12 @@ impl Store {
         open::is_current(dir)
     }
 
+    /// Whether there is a store of this format at `dir` that opening it leaves as it is but for litter: one that somebody else
+    /// names may be looked into then.
+    pub fn is_whole_at(dir: &Path) -> bool {
+        open::is_whole(dir)
+    }
+
     /// The folder of the store, absolute.
     pub fn dir(&self) -> &Path {
         &self.root

@@ -156,7 +156,7 @@ class Run:
             raise RockfaceError(f"{file} has format {self.manifest.get('format')}; this version reads 1")
         beside = self.folder.parent.parent / "store"
         named = Path(self.manifest.get("store") or beside)
-        self.store = Path(store) if store else named if (named / "format").is_file() else beside
+        self.store = Path(store) if store else named if named.is_absolute() and _is_store(named) else beside
         """The store of results."""
 
     @cached_property
@@ -286,8 +286,6 @@ class Run:
                 points[tuple(step.point[axis] for axis in wanted)] = None
         if not points:
             raise RockfaceError(f"no step depends on {', '.join(wanted)}; the axes of the run are {', '.join(self.axes())}")
-        values = self.manifest.get("values", {})
-        names = {axis: list(dict.fromkeys(itertools.chain(*values.get(axis, {}).values()))) for axis in wanted}
         # Metrics by the axes they depend on and the items of these.
         numbers: dict[tuple[str, ...], dict[tuple[str, ...], dict[str, float | None]]] = {}
         units: dict[str, str] = {}
@@ -296,6 +294,12 @@ class Run:
             row = numbers.setdefault(own, {}).setdefault(tuple(step.point[axis] for axis in own), {})
             row.update({f"{step.step}.{name}": value for name, value in step.metrics.items()})
             units.update({f"{step.step}.{name}": unit for name, unit in step.units.items()})
+        # A value gives way to a metric whose column has its name.
+        values = self.manifest.get("values", {})
+        names = {
+            axis: [name for name in dict.fromkeys(itertools.chain(*values.get(axis, {}).values())) if f"{axis}.{name}" not in units]
+            for axis in wanted
+        }
         rows: list[list[Any]] = []
         for point in points:
             items = dict(zip(wanted, point, strict=True))
@@ -392,6 +396,20 @@ def _items(point: Mapping[str, str]) -> dict[str, float | str]:
     return {axis: item(text) for axis, text in point.items()}
 
 
+def _is_store(folder: Path) -> bool:
+    try:
+        return (folder / "format").is_file()
+    except OSError:
+        return False
+
+
+def _readable(folder: Path, store: str | Path | None) -> Run | None:
+    try:
+        return Run(folder, store)
+    except RockfaceError:
+        return None
+
+
 def find(run: str | Path = "latest", *, runs: str | Path | None = None, store: str | Path | None = None) -> Run:
     """Opens a past run.
 
@@ -405,7 +423,8 @@ def find(run: str | Path = "latest", *, runs: str | Path | None = None, store: s
         RockfaceError: there is no such run, or several.
     """
     folder = Path(runs) if runs else Path(".rockface/runs")
-    for path in (folder / run, Path(run), Path(run).parent, folder / f"latest-{run}"):
+    beside = [Path(run).parent] if Path(run).name == "run.json" else []
+    for path in (folder / run, Path(run), *beside, folder / f"latest-{run}"):
         if (path / "run.json").is_file():
             return Run(path, store)
     entries = folder.iterdir() if folder.is_dir() else []
@@ -414,7 +433,7 @@ def find(run: str | Path = "latest", *, runs: str | Path | None = None, store: s
     of, _, back = str(run).rpartition("~")
     if of and back.isdecimal():
         last = find(of, runs=folder, store=store)
-        meant = [Run(folder / name, store) for name in names]
+        meant = [one for one in (_readable(folder / name, store) for name in names) if one]
         before = [one for one in meant if one.folder != last.folder and (of == "latest" or one.name == last.name)]
         before.sort(key=lambda one: (str(one.manifest["finished"]), one.folder.name))
         if int(back) > len(before):

@@ -413,6 +413,21 @@ steps:
     assert bench.executed() == ["own"]
 
 
+def test_an_archive_has_the_modules_of_all_functions(bench):
+    bench.module(RAISE)
+    program = os.environ["ROCKFACE_BIN"]
+
+    def ran(*words, folder=bench.folder):
+        return subprocess.run([program, *words], cwd=folder, capture_output=True, text=True, check=True)
+
+    ran("run", "own.yaml", "--target", "face")
+    ran("archive", "latest", "--inputs", "-o", "run.tar")
+    elsewhere = bench.folder / "elsewhere"
+    elsewhere.mkdir()
+    subprocess.run(["tar", "-xf", bench.folder / "run.tar"], cwd=elsewhere, check=True)
+    assert "outputs are the same" in ran("run", "run.json", folder=elsewhere).stdout
+
+
 def test_without_commands_no_function_is_called_or_described(bench):
     bench.module(RAISE)
     done = subprocess.run(

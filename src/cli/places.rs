@@ -149,15 +149,28 @@ impl Places {
         Ok(Store::open(&self.store_or_default())?)
     }
 
-    /// Opens the store given, or the one that the run names or that is beside its folder, or that of the working folder; `None`
-    /// where there is none.
+    /// Opens the store given, or the first that has something of the run: the one that the run names, that beside its folder, that
+    /// of the working folder; `None` where there is none.
     pub fn store_beside(&self, run: &PastRun) -> Result<Option<Store>, CliError> {
         let beside = run.folder.parent().and_then(Path::parent).map(|folder| folder.join("store"));
-        let named = run.manifest.store.clone();
-        let (own, given) = (self.store_or_default(), self.is_store_given());
-        let places = if given { [Some(own), named, beside] } else { [named, beside, Some(own)] };
-        let found = places.into_iter().flatten().find(|store| may_be_store(store));
-        Ok(found.map(|store| Store::open(&store)).transpose()?)
+        let own = self.store_or_default();
+        if self.is_store_given() {
+            let found = [Some(own), beside].into_iter().flatten().find(|store| may_be_store(store));
+            return Ok(found.map(|store| Store::open(&store)).transpose()?);
+        }
+        // What a run says is only a hint: a store that cannot be opened, or would have to be made, is not that of the run.
+        let named = run.manifest.store.as_ref().filter(|named| named.is_absolute() && Store::is_whole_at(named));
+        let named = named.and_then(|named| Store::open(named).ok()).filter(|store| has_some_of(store, run));
+        if named.is_some() {
+            return Ok(named);
+        }
+        for store in [beside, Some(own)].into_iter().flatten().filter(|store| may_be_store(store)) {
+            let store = Store::open(&store)?;
+            if has_some_of(&store, run) {
+                return Ok(Some(store));
+            }
+        }
+        Ok(None)
     }
 
     /// The same, which must be there.
@@ -197,6 +210,13 @@ impl Places {
         folders.extend(store.dir().parent().map(|own| own.join("runs")));
         folders
     }
+}
+
+/// Whether a store has a record of a run, or the run has none.
+fn has_some_of(store: &Store, run: &PastRun) -> bool {
+    let mut keys =
+        run.manifest.steps.iter().filter(|done| done.outputs.is_some()).filter_map(|done| done.key).peekable();
+    keys.peek().is_none() || keys.any(|key| store.record(&key).is_some())
 }
 
 /// `quickstart~2`: what stands before the sign, and the number after it.

@@ -8,7 +8,7 @@ use rockface_cache::Digest;
 
 use super::{CliError, PipelineArgs};
 use rockface_engine::history::Manifest;
-use rockface_engine::pipeline::{Copied, is_same_axis, is_same_path};
+use rockface_engine::pipeline::{Copied, is_same_axis, is_same_path, without_detours};
 use rockface_engine::plan::Plan;
 use rockface_engine::run::Summary;
 
@@ -38,7 +38,7 @@ fn take_over(arguments: &mut PipelineArgs, manifest: &Manifest, copied: Option<C
     arguments.pipeline = manifest.pipeline.folder.join(file);
     arguments.text = Some(manifest.pipeline.text.clone());
     let included = manifest.pipeline.included.iter();
-    arguments.included = included.map(|file| (file.path.clone(), file.text.clone())).collect();
+    arguments.included = included.map(|file| (without_detours(&file.path), file.text.clone())).collect();
     if let Some(copied) = copied {
         arguments.pipeline = copied.place(&arguments.pipeline);
         // The path of an include is relative to the copy, or what the pipeline says.
@@ -98,6 +98,9 @@ pub fn verdict(manifest: &Manifest, copied: Option<&Copied>, plan: &Plan, summar
                 None => others.push(format!("new      {label}.{port}: the former run did not make it")),
             }
         }
+    }
+    if others.is_empty() && same == 0 {
+        return Repeated { same, others: 0, lines: vec!["repeated: no output was made".to_owned()] };
     }
     if others.is_empty() {
         let (computed, stored) = (summary.executed(), summary.cached());

@@ -209,8 +209,10 @@ impl PipelineArgs {
 /// Refuses a path that leads to a shipped pipeline in a clone of the sources, where there is no such file.
 fn not_in_a_clone(path: &Path) -> Result<(), CliError> {
     let written = path.with_extension("");
-    let name = written.strip_prefix("pipelines").unwrap_or(&written).to_str().unwrap_or_default();
-    if !is_pipeline(&path.to_string_lossy()) || !is_name(name) || std::fs::symlink_metadata(path).is_ok() {
+    let written = written.strip_prefix(".").unwrap_or(&written);
+    let name = written.strip_prefix("pipelines").unwrap_or(written).to_str().unwrap_or_default();
+    let is_named = is_pipeline(&path.to_string_lossy()) || path.extension().is_none();
+    if !is_named || !is_name(name) || std::fs::symlink_metadata(path).is_ok() {
         return Ok(());
     }
     match Shipped::find(name) {
@@ -285,7 +287,11 @@ mod tests {
                 .into_iter()
                 .all(|path| told(path).is_ok())
         );
-        for (path, name) in [("quickstart.yaml", "quickstart"), ("paper/ten-epochs.yaml", "paper/ten-epochs")] {
+        for (path, name) in [
+            ("quickstart.yaml", "quickstart"),
+            ("paper/ten-epochs.yaml", "paper/ten-epochs"),
+            ("./dataset.yaml", "dataset"),
+        ] {
             assert!(told(path).unwrap_err().ends_with(&format!("give its name, `{name}`")), "{path}");
         }
     }

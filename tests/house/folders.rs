@@ -163,6 +163,57 @@ steps:
     assert!(code == Some(0) && out.contains("changed") && out.contains("inputs/other/face.obj"), "{out}");
 }
 
+#[test]
+fn an_archive_may_lie_below_what_it_has_copied_and_keeps_programs() {
+    let house = House::new(
+        "rockface: 1
+name: near
+params: {face: face.obj}
+steps:
+  near: {stage: import-mesh, with: {path: '${face}'}}
+  made: {stage: command, with: {version: '1', program: '{file.script}', args: ['{out.table}'], files: {script: s.sh}, outputs: {table: {kind: table, extension: csv}}}}
+",
+    );
+    std::fs::write(house.path("face.obj"), FACE).unwrap();
+    std::fs::write(house.path("s.sh"), "#!/bin/sh\nprintf 'a\\n1\\n' > $1\n").unwrap();
+    std::fs::set_permissions(house.path("s.sh"), std::os::unix::fs::PermissionsExt::from_mode(0o755)).unwrap();
+    let ran = |arguments: &[&str], expected: &str| {
+        let (code, out, err) = house.rockface(arguments);
+        assert!(code == Some(0) && out.contains(expected), "{arguments:?}: {out}{err}");
+    };
+    ran(&["run", "p.yaml"], "ran 2");
+    // Another folder called `inputs` is no copy.
+    std::fs::create_dir(house.path(".rockface/runs/latest/inputs")).unwrap();
+    ran(&["run", ".rockface/runs/latest/run.json"], "all 2 outputs are the same");
+    std::fs::remove_dir(house.path(".rockface/runs/latest/inputs")).unwrap();
+    ran(&["archive", "latest", "--inputs", "-o", "run.tar"], "run.tar");
+    let unpacked = std::process::Command::new("tar")
+        .args(["-xf", "run.tar", "--one-top-level=ex"])
+        .current_dir(house.path("."))
+        .status();
+    assert!(unpacked.unwrap().success());
+    ran(&["run", "ex/run.json"], "all 2 outputs are the same: 2 steps were computed again");
+    ran(&["run", "ex/inputs/.rockface/runs/latest/run.json"], "all 2 outputs are the same: all of them from the store");
+    // A file that is in no archive is read where it is.
+    std::fs::write(house.path("new.obj"), FACE.replace("0.5", "0.75")).unwrap();
+    let new = format!("params.face={}", house.path("new.obj").display());
+    ran(&["run", "ex/run.json", "--set", &new], "differs  near.mesh");
+}
+
+#[test]
+fn an_archive_has_no_two_files_in_one_place() {
+    let house = House::new(
+        "rockface: 1\nname: two\nsteps:\n  one: {stage: import-mesh, with: {path: face.obj}}\n  two: {stage: import-mesh, with: {path: link/../face.obj}}\n",
+    );
+    std::fs::create_dir_all(house.path("other/deep")).unwrap();
+    std::os::unix::fs::symlink("other/deep", house.path("link")).unwrap();
+    std::fs::write(house.path("face.obj"), FACE).unwrap();
+    std::fs::write(house.path("other/face.obj"), FACE.replace("0.5", "0.25")).unwrap();
+    assert_eq!(house.rockface(&["run", "p.yaml"]).0, Some(0));
+    let (code, _, err) = house.rockface(&["archive", "latest", "--inputs", "-o", "run.tar"]);
+    assert!(code == Some(2) && err.contains("another file has its place, inputs/face.obj"), "{err}");
+}
+
 /// The manifest of the latest run, and of it the part of one step.
 fn done(house: &House, step: &str) -> Value {
     let manifest = std::fs::read(house.path(".rockface/runs/latest/run.json")).unwrap();

@@ -52,6 +52,7 @@ fn manifest() -> Manifest {
         folder: "/site".into(),
         text,
         copied: None,
+        asked: Vec::new(),
         included,
     };
     let overrides = Overridden { sweep: Vec::new(), set: vec!["seed=1".into()], seed: Some(7) };

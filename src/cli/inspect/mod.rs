@@ -259,11 +259,18 @@ fn of_file(path: &Path, places: &Places) -> Result<Found, CliError> {
             Err(error) => faults.push(format!("as {kind}: {error}")),
         }
     }
-    if let Some(found) = foreign::of(&bytes, &extension) {
-        facts.extend(found.facts);
-        return Ok(Found { facts, ..found });
-    }
-    let why = match importer(&extension).or_else(|| importer_of_json(&bytes)) {
+    let importer = match foreign::of(&bytes, &extension) {
+        Some(Ok(found)) => {
+            facts.extend(found.facts);
+            return Ok(Found { facts, ..found });
+        }
+        Some(Err(error)) => {
+            faults.push(error.to_string());
+            None
+        }
+        None => importer(&extension),
+    };
+    let why = match importer.or_else(|| importer_of_json(&bytes)) {
         Some(stage) => format!("files of other programs are read by a step: `stage: {stage}`"),
         None if faults.is_empty() => format!("no artefact has the extension `{extension}`"),
         None => faults.join("; "),

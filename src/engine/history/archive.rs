@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
 use std::io::{BufWriter, Read, Write};
+use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 
 use rockface_cache::{Digest, NameError, OutputRecord, SafeName, SafePath, Store, StoreError};
@@ -87,7 +88,7 @@ pub fn archive(run: &PastRun, store: &Store, contents: Contents, to: &Path) -> R
     let missing = packing.records(run, store)?;
     let files = packing.sums.len() + 1;
     let file = packing.finish()?;
-    let mode = std::os::unix::fs::PermissionsExt::from_mode(0o644);
+    let mode = PermissionsExt::from_mode(0o644);
     file.as_file().set_permissions(mode).map_err(HistoryError::io("write", to))?;
     file.persist(to).map_err(|fault| HistoryError::io("write", to)(fault.error))?;
     Ok(Archived { files, missing, left_out })
@@ -161,11 +162,11 @@ fn files_of(run: &PastRun, outputs: bool) -> Result<Vec<PathBuf>, HistoryError> 
     Ok(found)
 }
 
-/// What stands before a file of so many bytes.
-fn header(size: u64) -> tar::Header {
+/// What stands before a file of so many bytes, which may be a program.
+fn header(size: u64, is_program: bool) -> tar::Header {
     let mut header = tar::Header::new_gnu();
     header.set_size(size);
-    header.set_mode(0o644);
+    header.set_mode(if is_program { 0o755 } else { 0o644 });
     header.set_mtime(0);
     header
 }
@@ -192,7 +193,7 @@ struct Packing<'a> {
 
 impl Packing<'_> {
     fn add(&mut self, path: &Path, bytes: &[u8]) -> Result<(), HistoryError> {
-        let added = self.tar.append_data(&mut header(bytes.len() as u64), path, bytes);
+        let added = self.tar.append_data(&mut header(bytes.len() as u64, false), path, bytes);
         added.map_err(HistoryError::io("write", self.to))?;
         self.sums.insert(path.to_owned(), Digest::of(bytes));
         Ok(())
@@ -204,14 +205,23 @@ impl Packing<'_> {
         let paths: Vec<&Path> =
             texts.iter().map(|(path, _)| path.as_path()).chain(files.keys().map(PathBuf::as_path)).collect();
         let places = run.manifest.places_in_archive(&paths);
-        let places = places.map_err(|error| HistoryError::io("archive", &run.folder)(error.into()))?;
+        let places =
+            places.map_err(|(path, why)| HistoryError::Unpackable { path: path.to_owned(), why: why.to_string() })?;
         let (of_texts, of_files) = places.split_at(texts.len());
         for (place, (_, text)) in of_texts.iter().zip(&texts) {
             self.add(place, text.as_bytes())?;
         }
         for (place, (path, digest)) in of_files.iter().zip(&files) {
-            if !self.sums.contains_key(&**place) {
-                self.add_file(place, path, *digest)?;
+            match self.sums.get(&**place) {
+                None => self.add_file(place, path, *digest)?,
+                Some(packed) if packed == digest => {}
+                Some(_) => {
+                    let why = format!(
+                        "another file has its place, {}: a `..` in its path goes back over a link",
+                        place.display()
+                    );
+                    return Err(HistoryError::Unpackable { path: path.clone(), why });
+                }
             }
         }
         Ok(())
@@ -224,6 +234,7 @@ impl Packing<'_> {
         if !is.is_file() {
             return Err(HistoryError::InputChanged { path: path.to_owned(), digest });
         }
+        let is_program = is.permissions().mode() & 0o111 != 0;
         let open = || File::open(path).map_err(HistoryError::io("read", path));
         // Before anything of it is written: a made-up manifest may name a file of any size.
         let (found, size) = Digest::of_reader(open()?).map_err(HistoryError::io("read", path))?;
@@ -232,7 +243,7 @@ impl Packing<'_> {
         }
         let file = open()?;
         let (found, _, added) = Digest::of_pieces(|piece| {
-            self.tar.append_data(&mut header(size), place, Hashed { file: file.take(size), piece })
+            self.tar.append_data(&mut header(size, is_program), place, Hashed { file: file.take(size), piece })
         });
         added.map_err(HistoryError::io("copy into the archive", path))?;
         if found != digest {

@@ -24,7 +24,7 @@ impl Manifest {
     /// The input files, by the paths under which they were read, absolute, with their BLAKE3.
     pub fn input_files(&self) -> BTreeMap<PathBuf, Digest> {
         let here = self.started_in();
-        let files = self.steps.iter().flat_map(|done| &done.files);
+        let files = self.steps.iter().flat_map(|done| &done.files).chain(&self.pipeline.asked);
         files.map(|file| (here.join(&file.path), file.blake3)).collect()
     }
 
@@ -48,12 +48,13 @@ impl Manifest {
     ///
     /// # Errors
     ///
-    /// The path for one that is in no folder, of a manifest that was made up.
-    pub(super) fn places_in_archive(&self, paths: &[&Path]) -> Result<Vec<SafePath>, NameError> {
+    /// The first path that no archive can have: with control characters, or in no folder, of a manifest that was made up.
+    pub(super) fn places_in_archive<'p>(&self, paths: &[&'p Path]) -> Result<Vec<SafePath>, (&'p Path, NameError)> {
         let top = self.common_folder();
-        let place = |path: &&Path| {
-            let path = without_detours(path);
-            SafePath::of(&Path::new(INPUTS).join(path.strip_prefix(&top).unwrap_or(&path)))
+        let place = |path: &&'p Path| {
+            let straight = without_detours(path);
+            let below = straight.strip_prefix(&top).unwrap_or(&straight);
+            SafePath::of(&Path::new(INPUTS).join(below)).map_err(|why| (*path, why))
         };
         paths.iter().map(place).collect()
     }
@@ -61,11 +62,21 @@ impl Manifest {
     /// The copies of the input files: beside the manifest at `path`, where an archive that has them was extracted, or those that
     /// the run itself has read.
     pub fn copied_inputs(&self, path: &Path) -> Option<Copied> {
-        let (to, before) = (std::path::absolute(path).ok()?.with_file_name(INPUTS), self.pipeline.copied.clone());
-        if to.is_dir() {
-            return Some(Copied { from: self.common_folder(), to, before: before.map(Box::new) });
+        let before = self.pipeline.copied.clone();
+        let folder = path.with_file_name(INPUTS);
+        // What a link leads to is no part of an archive.
+        if !std::fs::symlink_metadata(&folder).is_ok_and(|is| is.is_dir()) {
+            return before;
         }
-        before
+        let beside = std::fs::canonicalize(folder).map(|to| Copied {
+            from: self.common_folder(),
+            to,
+            before: before.clone().map(Box::new),
+        });
+        // Another folder of that name does not have the pipeline in its place.
+        let main = self.pipeline_files().next().map(|(main, _)| without_detours(&main));
+        let beside = beside.ok().filter(|copied| main.is_some_and(|main| copied.moved(&main).is_file()));
+        beside.or(before)
     }
 }
 
@@ -96,9 +107,13 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let manifest = folder.path().join("run.json");
         assert!(run.copied_inputs(&manifest).is_none());
-        std::fs::create_dir(folder.path().join(INPUTS)).unwrap();
+        // A folder of that name may be another one.
+        let to = folder.path().canonicalize().unwrap().join(INPUTS);
+        std::fs::create_dir_all(to.join("slope/p")).unwrap();
+        assert!(run.copied_inputs(&manifest).is_none());
+        std::fs::write(to.join("slope/p/main.yaml"), "").unwrap();
         let copied = run.copied_inputs(&manifest).unwrap();
-        assert_eq!(copied, Copied { from: "/lab".into(), to: folder.path().join(INPUTS), before: None });
-        assert_eq!(copied.place(&files[1]), folder.path().join("inputs/slope/scans/a.ply"));
+        assert_eq!(copied, Copied { from: "/lab".into(), to: to.clone(), before: None });
+        assert_eq!(copied.place(&files[1]), to.join("slope/scans/a.ply"));
     }
 }

@@ -95,6 +95,14 @@ pub enum HistoryError {
         /// The digest of what the run read.
         digest: rockface_cache::Digest,
     },
+    /// An input file that no archive can have in its place.
+    #[error("{} cannot be archived: {why}; rename or move it and run again, or archive without --inputs", path.display())]
+    Unpackable {
+        /// The path of the file.
+        path: PathBuf,
+        /// Why not.
+        why: String,
+    },
     /// The store cannot be read.
     #[error(transparent)]
     Store(#[from] rockface_cache::StoreError),

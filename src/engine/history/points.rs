@@ -41,8 +41,7 @@ pub fn table(manifest: &Manifest) -> Option<String> {
     let sets: BTreeSet<BTreeSet<&str>> = at.keys().map(|point| point.keys().map(String::as_str).collect()).collect();
     let parts = parts(at.keys().copied(), &sets);
     let mut text = csv::Writer::from_writer(Vec::new());
-    let axes: Vec<AxisColumns> =
-        axes.into_iter().map(|axis| AxisColumns { axis, values: manifest.value_names(axis) }).collect();
+    let axes: Vec<AxisColumns> = axes.into_iter().map(|axis| AxisColumns::new(axis, manifest, &columns)).collect();
     text.write_record(axes.iter().flat_map(AxisColumns::names).chain(columns.iter().cloned())).ok()?;
     for point in at.keys().filter(|point| !parts.contains(**point)) {
         let mut cells = vec![String::new(); columns.len()];
@@ -62,7 +61,14 @@ struct AxisColumns<'a> {
     values: Vec<&'a str>,
 }
 
-impl AxisColumns<'_> {
+impl<'a> AxisColumns<'a> {
+    /// A value gives way to a metric whose column has its name.
+    fn new(axis: &'a str, manifest: &'a Manifest, columns: &[String]) -> Self {
+        let is_taken = |name: &str| columns.iter().any(|column| *column == format!("{axis}.{name}"));
+        let values = manifest.value_names(axis).into_iter().filter(|name| !is_taken(name)).collect();
+        Self { axis, values }
+    }
+
     fn names(&self) -> impl Iterator<Item = String> {
         let values = self.values.iter().map(|name| format!("{}.{name}", self.axis));
         std::iter::once(self.axis.to_owned()).chain(values)

@@ -18,15 +18,20 @@ pub struct Copied {
 }
 
 impl Copied {
-    /// The place in the copy of a file or folder; of one that was not copied, its own.
+    /// Where a file, a folder or a pattern leads: into the copy, unless what it names is not there but in its own place.
     #[must_use]
     pub fn place(&self, path: &Path) -> PathBuf {
-        self.moved(&without_detours(path))
+        let own = without_detours(path);
+        let copy = self.moved(&own);
+        if is_there(&copy) || !is_there(&own) { copy } else { own }
     }
 
-    /// The same for a path that is taken as it is written.
+    /// The place in the copy of a path that has no `..` in it, whether anything is there or not.
     #[must_use]
     pub fn moved(&self, path: &Path) -> PathBuf {
+        if path.starts_with(&self.to) {
+            return path.to_owned();
+        }
         let path = self.before.as_ref().map_or_else(|| path.to_owned(), |before| before.moved(path));
         path.strip_prefix(&self.from).map_or_else(|_| path.clone(), |below| self.to.join(below))
     }
@@ -36,6 +41,12 @@ impl Copied {
         let path = path.strip_prefix(&self.to).map_or_else(|_| path.to_owned(), |below| self.from.join(below));
         self.before.as_ref().map_or_else(|| path.clone(), |before| before.original(&path))
     }
+}
+
+/// Whether something is at a path; for a pattern, at what stands before its first wildcard.
+fn is_there(path: &Path) -> bool {
+    let is_plain = |part: &Component| !part.as_os_str().to_string_lossy().contains(['*', '?', '[']);
+    path.components().take_while(is_plain).collect::<PathBuf>().exists()
 }
 
 /// What the paths in a step are relative to.
@@ -80,28 +91,49 @@ pub fn without_detours(path: &Path) -> PathBuf {
 mod tests {
     use super::*;
 
+    fn leads(copied: &Copied, folder: &str, written: &str) -> PathBuf {
+        Base::new(Path::new(folder).into(), Some(Arc::new(copied.clone()))).path(written)
+    }
+
     #[test]
     fn paths_lead_into_the_copy_however_they_are_written() {
         let copied = Copied { from: "/lab".into(), to: "/new/inputs".into(), before: None };
-        let base = Base::new(Path::new("/new/inputs/slope/p").into(), Some(Arc::new(copied)));
-        let leads = |written: &str| base.path(written).display().to_string();
-        assert_eq!(leads("a.ply"), "/new/inputs/slope/p/a.ply");
-        assert_eq!(leads("../../scans/a.ply"), "/new/inputs/scans/a.ply");
-        assert_eq!(leads("/lab/scans/./a.ply"), "/new/inputs/scans/a.ply");
-        // The way there leaves the folder that was copied.
-        assert_eq!(leads("../../../lab/a.ply"), "/new/inputs/a.ply");
-        // Not copied, or given anew.
-        assert_eq!(leads("/other/a.ply"), "/other/a.ply");
-        assert_eq!(leads("/new/inputs/b.ply"), "/new/inputs/b.ply");
-        // A copy of the copy.
-        let copied = Copied {
-            from: "/new/inputs/slope".into(),
-            to: "/third/inputs".into(),
-            before: Some(Box::new(Copied { from: "/lab".into(), to: "/new/inputs".into(), before: None })),
-        };
-        let base = Base::new(Path::new("/third/inputs/p").into(), Some(Arc::new(copied)));
-        assert_eq!(base.path("../scans/a.ply"), Path::new("/third/inputs/scans/a.ply"));
-        assert_eq!(base.path("/lab/slope/scans/a.ply"), Path::new("/third/inputs/scans/a.ply"));
+        for (written, expected) in [
+            ("a.ply", "/new/inputs/slope/p/a.ply"),
+            ("../../scans/a.ply", "/new/inputs/scans/a.ply"),
+            ("/lab/scans/./a.ply", "/new/inputs/scans/a.ply"),
+            // The way there leaves the folder that was copied.
+            ("../../../lab/d*.tif", "/new/inputs/d*.tif"),
+            // Not copied, or in the copy already.
+            ("/other/a.ply", "/other/a.ply"),
+            ("/new/inputs/b.ply", "/new/inputs/b.ply"),
+        ] {
+            assert_eq!(leads(&copied, "/new/inputs/slope/p", written), Path::new(expected), "{written}");
+        }
         assert_eq!(Base::new(Path::new("p").into(), None).path("../a.ply"), Path::new("p/../a.ply"));
+        // A copy of the copy.
+        let before = Some(Box::new(copied));
+        let third = Copied { from: "/new/inputs/slope".into(), to: "/third/inputs".into(), before };
+        for written in ["../scans/a.ply", "/lab/slope/scans/a.ply"] {
+            assert_eq!(leads(&third, "/third/inputs/p", written), Path::new("/third/inputs/scans/a.ply"), "{written}");
+        }
+    }
+
+    #[test]
+    fn a_copy_below_what_was_copied_is_not_copied_again_and_new_files_are_found() {
+        let lab = tempfile::tempdir().unwrap();
+        let (from, to) = (lab.path().to_owned(), lab.path().join("ex/inputs"));
+        std::fs::create_dir_all(to.join("data")).unwrap();
+        std::fs::create_dir(from.join("data")).unwrap();
+        for file in [from.join("data/a.ply"), to.join("data/a.ply"), from.join("data/new.ply")] {
+            std::fs::write(file, "ply").unwrap();
+        }
+        let copied = Copied { from: from.clone(), to: to.clone(), before: None };
+        let place = |path: &Path| copied.place(path);
+        assert_eq!(place(&from.join("data/a.ply")), to.join("data/a.ply"));
+        assert_eq!(place(&to.join("data/a.ply")), to.join("data/a.ply"));
+        assert_eq!(place(&from.join("data/new.ply")), from.join("data/new.ply"));
+        assert_eq!(place(&from.join("data/d*.ply")), to.join("data/d*.ply"));
+        assert_eq!(place(&from.join("data/none.ply")), to.join("data/none.ply"));
     }
 }

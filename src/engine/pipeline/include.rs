@@ -6,6 +6,7 @@ use std::sync::Arc;
 
 use rockface_cache::{Digest, Seen};
 
+use super::base::without_detours;
 use super::file_text::read_text;
 use super::node::{Data, Key, Node};
 use super::reader::TOP;
@@ -36,7 +37,7 @@ impl Texts {
 
     /// The text of a file that a pipeline names.
     pub fn read(&mut self, path: &Path) -> Result<String, Diagnostic> {
-        let absolute = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
+        let absolute = without_detours(&std::path::absolute(path).unwrap_or_else(|_| path.to_owned()));
         if let Some(given) = self.given.get(&absolute) {
             return Ok(given.clone());
         }

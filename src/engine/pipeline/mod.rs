@@ -111,7 +111,8 @@ impl Pipeline {
         path: &Path,
         overrides: &Overrides,
     ) -> Result<Self, Diagnostics> {
-        Self::of_texts(text, Texts { given: included, ..Texts::default() }, path, overrides)
+        let given = included.into_iter().map(|(path, text)| (without_detours(&path), text)).collect();
+        Self::of_texts(text, Texts { given, ..Texts::default() }, path, overrides)
     }
 
     fn of_texts(text: &str, texts: Texts, path: &Path, overrides: &Overrides) -> Result<Self, Diagnostics> {

@@ -20,7 +20,10 @@ impl Resolver<'_> {
             let fault = Diagnostic::at(axis.name.span, format!("no step depends on axis `{name}`")).hint(format!(
                 "say `over: [{name}]` on the step where it begins, mention ${{{name}}} in a `with`, or remove it"
             ));
-            let near = self.parameter_like(name).map(|path| format!("did you mean `{path}`?"));
+            // Who declares an axis does not mean a parameter.
+            let is_swept = self.sources.get(axis.name.span.source).is_some_and(|source| source.name == "--sweep");
+            let near = is_swept.then(|| self.parameter_like(name)).flatten();
+            let near = near.map(|path| format!("did you mean `{path}`?"));
             near.into_iter().fold(fault, Diagnostic::hint)
         };
         unused.map(told).collect()

@@ -45,6 +45,9 @@ impl Stage for ExportCloud {
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
         let artefact = inputs.artefact("points")?;
         let made = match artefact {
+            Artefact::Raster(raster) if raster.quantity == "difference" => {
+                fail!("the raster holds differences, and points are made of elevations: hand over the DEM")
+            }
             Artefact::Raster(raster) => Some(raster_surface::between_cells(raster).map_err(|e| e.within("`points`"))?),
             _ => None,
         };
@@ -101,6 +104,8 @@ mod tests {
     fn what_cannot_be_exported_is_refused() {
         let message = |inputs: &[(&str, Artefact)]| export(inputs).unwrap_err().message;
         assert!(message(&[("points", raster(2).into())]).contains("2 bands"));
+        let change = Raster { quantity: "difference".into(), ..raster(1) };
+        assert!(message(&[("points", change.into())]).contains("holds differences"));
         let world = Raster { frame: Frame::World, ..raster(1) };
         assert!(message(&[("points", raster(1).into()), ("labels", world.into())]).contains("world frame"));
         let away = Transform::identity("world", "world");

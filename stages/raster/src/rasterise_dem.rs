@@ -121,6 +121,13 @@ impl Stage for RasteriseDem {
             }
         }
         let grid = match inputs.optional::<Raster>("grid")? {
+            Some(raster) if raster.frame != change.frame => {
+                let message =
+                    format!("the surface is in the {} frame, the grid in the {} frame", change.frame, raster.frame);
+                return Err(
+                    StageError::new(message).hint("port `transform` takes the surface to the frame of the grid")
+                );
+            }
             Some(raster) => usable(raster.grid)?,
             None => make_grid(params, shape, moved.as_ref())?,
         };

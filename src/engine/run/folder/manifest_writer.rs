@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
-use rockface_cache::{Digest, RecipeInput, Store};
+use rockface_cache::{Digest, RecipeInput, Seen, Store};
 use rockface_core::Entry;
 use serde_json::{Map, Value};
 
@@ -14,7 +14,7 @@ use crate::diagnostic::{Origin, Source};
 use crate::history::{
     FORMAT, FileUsed, IncludedText, ItemValues, Manifest, Metric, Overridden, PartUsed, PipelineText, StepDone,
 };
-use crate::pipeline::{Axis, Used};
+use crate::pipeline::{Axis, Used, without_detours};
 use crate::plan::Plan;
 use crate::run::{RunError, RunFolder, Summary};
 
@@ -54,30 +54,36 @@ pub fn manifest(
 /// The store, unless it is where commands look for it by themselves.
 fn store_elsewhere(store: &Store, about: &RunFolder) -> Result<Option<PathBuf>, RunError> {
     let absolute = |path: &Path| std::path::absolute(path).map_err(failed(path));
-    let (own, runs) = (absolute(store.dir())?, absolute(about.runs)?);
+    let (own, runs) = (without_detours(&absolute(store.dir())?), without_detours(&absolute(about.runs)?));
     let is_beside = runs.parent().is_some_and(|folder| folder.join("store") == own);
     Ok((!is_beside).then_some(own))
 }
 
 /// What items stand for, where that is several values. Axes of parts that share a label and differ have none: points name labels.
 fn item_values(axes: &[Axis]) -> ItemValues {
-    let mut all = ItemValues::new();
-    let mut unlike: Vec<&str> = Vec::new();
+    let mut all: BTreeMap<&str, Option<Named>> = BTreeMap::new();
     for axis in axes {
-        let named = axis.items.iter().zip(&*axis.values).filter_map(|(item, value)| {
-            let single = value.as_object()?.iter().filter(|(_, value)| !value.is_object() && !value.is_array());
-            let values: Map<String, Value> = single.map(|(name, value)| (name.clone(), value.clone())).collect();
-            (!values.is_empty()).then(|| (item.clone(), values))
-        });
-        let named: BTreeMap<_, _> = named.collect();
-        match all.get(&axis.label) {
-            Some(other) if *other != named => unlike.push(&axis.label),
-            None if !named.is_empty() => drop(all.insert(axis.label.clone(), named)),
-            _ => {}
-        }
+        let named = named_values(axis);
+        all.entry(&axis.label)
+            .and_modify(|known| *known = known.take().filter(|known| *known == named))
+            .or_insert(Some(named));
     }
-    all.retain(|label, _| !unlike.contains(&label.as_str()));
-    all
+    let alike = all.into_iter().filter_map(|(label, named)| Some((label.to_owned(), named?)));
+    alike.filter(|(_, named)| !named.is_empty()).collect()
+}
+
+/// The values of items by their names.
+type Named = BTreeMap<String, Map<String, Value>>;
+
+fn named_values(axis: &Axis) -> Named {
+    let named = axis.items.iter().zip(&*axis.values).filter_map(|(item, value)| {
+        // The column `item` of a table names the item itself.
+        let is_told = |(name, value): &(&String, &Value)| *name != "item" && !value.is_object() && !value.is_array();
+        let values = value.as_object()?.iter().filter(is_told);
+        let values: Map<String, Value> = values.map(|(name, value)| (name.clone(), value.clone())).collect();
+        (!values.is_empty()).then(|| (item.clone(), values))
+    });
+    named.collect()
 }
 
 fn part_used(used: &Used) -> PartUsed {
@@ -101,8 +107,20 @@ fn pipeline_text(plan: &Plan, about: &RunFolder) -> Result<PipelineText, RunErro
         folder: absolute(&plan.graph.folder)?,
         text: about.pipeline.text().to_owned(),
         copied: about.pipeline.copied.as_deref().cloned(),
+        asked: asked(about),
         included: included.collect::<Result<_, RunError>>()?,
     })
+}
+
+/// The files that planning has read but for those of the pipeline.
+fn asked(about: &RunFolder) -> Vec<FileUsed> {
+    let texts: Vec<&str> = about.pipeline.files().map(|file| file.name.as_str()).collect();
+    let read = about.pipeline.looks.iter().filter_map(|(path, seen)| match seen {
+        Seen::File(digest) if !texts.iter().any(|text| Path::new(text) == path) => Some((path.clone(), *digest)),
+        _ => None,
+    });
+    let read: BTreeMap<PathBuf, Digest> = read.collect();
+    read.into_iter().map(|(path, blake3)| FileUsed { path, blake3 }).collect()
 }
 
 /// The entry of one instance, with its log and the files of its outputs.

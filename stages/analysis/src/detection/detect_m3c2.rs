@@ -1,5 +1,7 @@
 //! `detect-m3c2`: finds detachments by the distances of two point clouds along local normals.
 
+use nalgebra::Vector3;
+
 use crate::detection::change::Change;
 use crate::detection::cloud::Cloud;
 use crate::detection::facing;
@@ -48,7 +50,7 @@ pub struct DetectM3c2;
 impl Stage for DetectM3c2 {
     type Params = DetectM3c2Params;
     const NAME: &'static str = "detect-m3c2";
-    const VERSION: u32 = 4;
+    const VERSION: u32 = 5;
     const PAGE: Page = Page::new(include_str!("detect_m3c2.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("reference", &[Kind::Surface, Kind::Mesh, Kind::Cloud], "The earlier epoch: its points or vertices."),
@@ -138,11 +140,12 @@ fn detect(params: &DetectM3c2Params, grid: &Grid, distances: &[Option<Distance>]
 
 fn cluster(grid: &Grid, cells: &[usize], distances: &[Option<Distance>], limit: impl Fn(&Distance) -> f64) -> Found {
     let (mut volume, mut deviation, mut sum, mut deepest, mut score) = (0.0, 0.0, 0.0, 0.0f64, 0.0f64);
-    let mut points = Vec::with_capacity(8 * cells.len());
+    let (mut points, mut moment) = (Vec::with_capacity(8 * cells.len()), Vector3::zeros());
     for found in cells.iter().filter_map(|cell| distances[*cell].as_ref()) {
         let area = grid.cell_m * grid.cell_m / found.normal[2].max(STEEPEST);
         let size = found.distance_m.abs();
         volume += area * size;
+        moment += area * size * (Vector3::from(found.core) + 0.5 * found.distance_m * Vector3::from(found.normal));
         deviation += area * limit(found) / NORMAL_95;
         sum += size;
         deepest = deepest.max(size);
@@ -156,6 +159,7 @@ fn cluster(grid: &Grid, cells: &[usize], distances: &[Option<Distance>], limit: 
         depth_max_m: deepest,
         depth_mean_m: sum / cells.len().max(1) as f64,
         score,
+        centroid_m: (moment / volume).into(),
         points,
     }
 }
@@ -204,7 +208,7 @@ fn report(
         .hint("enlarge `projection_radius_m` or `depth_m`, and see whether the clouds overlap"));
     }
     let measured = limits.len();
-    if 2 * measured < cores {
+    if 5 * measured < 4 * cores {
         context.warn(format!(
             "only {measured} of {cores} core points have {} points of both clouds within `projection_radius_m`, {} m; no change is found at \
              the others: enlarge it, or see whether the clouds overlap",

@@ -88,7 +88,7 @@ pub struct DetectRaster;
 impl Stage for DetectRaster {
     type Params = DetectRasterParams;
     const NAME: &'static str = "detect-raster";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PAGE: Page = Page::new(include_str!("detect_raster.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("difference", &[Kind::Raster], "Comparison minus reference, one band."),

@@ -2,6 +2,8 @@
 
 use std::collections::BTreeMap;
 
+use nalgebra::Vector3;
+
 use crate::detection::change::Change;
 use crate::detection::facing;
 use crate::detection::found;
@@ -12,6 +14,10 @@ use rockface_core::params::Range;
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
 use rockface_raster::raster_surface;
 use rockface_raster::shape::{Moved, Shape};
+
+/// Voxels of a place that a warning counts, at least, and the share of the whole that is worth one.
+const OPEN_VOXELS: usize = 27;
+const OPEN_SHARE: f64 = 0.1;
 
 params! {
     /// Parameters of `detect-voxels`.
@@ -33,7 +39,7 @@ pub struct DetectVoxels;
 impl Stage for DetectVoxels {
     type Params = DetectVoxelsParams;
     const NAME: &'static str = "detect-voxels";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PAGE: Page = Page::new(include_str!("detect_voxels.md"));
     const INPUTS: &'static [Port] = &[
         Port::one(
@@ -80,11 +86,12 @@ impl Stage for DetectVoxels {
         let grid = plan(&voxels);
         let low = voxels.low;
         let occupied = voxels.occupied();
-        let clusters = voxels.enclosed();
+        let (clusters, open) = voxels.enclosed();
         let all = clusters.len();
         let found: Vec<Found> =
             clusters.iter().filter(|c| counts(c, params)).map(|c| body(c, &grid, low, params.voxel_m)).collect();
         report(&found, all, occupied, context);
+        warn_of_open(&open, &found, params, context);
         let labels = found::labels(&grid, frame, &found)?;
         let detections = found::inventory(&grid, frame, "voxels", &found);
         Ok(Outputs::of("detections", detections).and("labels", labels))
@@ -130,7 +137,9 @@ fn body(cluster: &Cluster, grid: &Grid, low: [f64; 3], edge_m: f64) -> Found {
         [x as f64 + side(0), y as f64 + side(1), z as f64 + side(2)]
     };
     let metres = |p: [f64; 3]| std::array::from_fn(|axis| low[axis] + p[axis] * edge_m);
-    let points = cluster.inside.iter().flat_map(|at| (0..8).map(|k| metres(corner(*at, k)))).collect();
+    let points: Vec<[f64; 3]> = cluster.inside.iter().flat_map(|at| (0..8).map(|k| metres(corner(*at, k)))).collect();
+    let sum = points.iter().fold(Vector3::zeros(), |sum, point| sum + Vector3::from(*point));
+    let centroid = sum / points.len() as f64;
     Found {
         depth_mean_m: volume_m3 / (columns.len() as f64 * edge_m * edge_m),
         cells: columns.into_keys().collect(),
@@ -138,7 +147,24 @@ fn body(cluster: &Cluster, grid: &Grid, low: [f64; 3], edge_m: f64) -> Found {
         volume_sd_m3: voxel * cluster.shell as f64 / 4.0,
         depth_max_m: deepest * edge_m,
         score: deepest / 2.0,
+        centroid_m: centroid.into(),
         points,
+    }
+}
+
+/// Says what is not found since the outside reaches between the surfaces, if it is a tenth of all or more.
+fn warn_of_open(open: &[usize], found: &[Found], params: &DetectVoxelsParams, context: &Context) {
+    let large: Vec<usize> =
+        open.iter().copied().filter(|voxels| *voxels >= OPEN_VOXELS.max(params.least_voxels as usize)).collect();
+    let (places, voxels) = (large.len(), large.iter().sum::<usize>());
+    let (edge_m, volume) = (params.voxel_m, found.iter().fold(0.0, |sum, found| sum + found.volume_m3));
+    let lost_m3 = voxels as f64 * edge_m * edge_m * edge_m;
+    if places > 0 && lost_m3 > OPEN_SHARE * (volume + lost_m3) {
+        let places = if places == 1 { "one place".to_owned() } else { format!("{places} places") };
+        context.warn(format!(
+            "at {places} the surfaces are apart, {lost_m3:.3} m3 in all, and the outside reaches between them, over a gap of one of them or at its border: nothing is \
+             found there; close the gaps, or compare with `detect-raster`"
+        ));
     }
 }
 
@@ -204,6 +230,11 @@ mod tests {
         for cell in [0, 1, 60, 61] {
             after.bands[0].values[25 * 60 + 30 + cell] = f32::NAN;
         }
-        assert!(found(elevations(0.0), after, "loss").0.features.is_empty());
+        let (reference, host) = (elevations(0.0), TestHost::default());
+        let inputs = [("reference", reference.clone().into()), ("comparison", after.clone().into())];
+        run_stage::<DetectVoxels>(&host, &json!({"voxel_m": 0.02}), &inputs).unwrap();
+        let told = host.warnings();
+        assert!(told.len() == 1 && told[0].starts_with("at one place the surfaces are apart"), "{told:?}");
+        assert!(found(reference, after, "loss").0.features.is_empty());
     }
 }

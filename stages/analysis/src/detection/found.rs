@@ -47,7 +47,9 @@ pub struct Found {
     pub depth_mean_m: f64,
     /// How sure the detector is: the greatest ratio of a change to its limit of detection; NaN where there is none.
     pub score: f64,
-    /// Points of both surfaces around the change, metres: its box and centroid are theirs.
+    /// Centroid of the volume, metres.
+    pub centroid_m: [f64; 3],
+    /// Points of both surfaces around the change, metres: its box is theirs.
     pub points: Vec<[f64; 3]>,
 }
 
@@ -62,9 +64,7 @@ pub fn inventory(grid: &Grid, frame: Frame, method: &str, found: &[Found]) -> In
 }
 
 fn columns<'a>(grid: &Grid, method: &'a str, number: usize, found: &Found) -> Columns<'a> {
-    let count = found.points.len() as f64;
-    let sum = found.points.iter().fold(Vector3::zeros(), |sum, p| sum + Vector3::from(*p));
-    let centre = sum / count;
+    let [centroid_x_m, centroid_y_m, centroid_z_m] = found.centroid_m;
     let [long_m, intermediate_m, short_m] = sides(&found.points);
     let form = sneed_folk::form([long_m, intermediate_m, short_m]);
     let cells = found.cells.len();
@@ -78,9 +78,9 @@ fn columns<'a>(grid: &Grid, method: &'a str, number: usize, found: &Found) -> Co
         depth_max_m: found.depth_max_m,
         depth_mean_m: found.depth_mean_m,
         score: found.score,
-        centroid_x_m: centre.x,
-        centroid_y_m: centre.y,
-        centroid_z_m: centre.z,
+        centroid_x_m,
+        centroid_y_m,
+        centroid_z_m,
         long_m,
         intermediate_m,
         short_m,
@@ -133,6 +133,7 @@ mod tests {
             depth_max_m: 0.1,
             depth_mean_m: 0.1,
             score: 5.0,
+            centroid_m: [0.0, 0.0, 0.05],
             points: (0..8).map(corner).collect(),
         };
         let made = inventory(&grid, Frame::Wall, "raster", std::slice::from_ref(&found));

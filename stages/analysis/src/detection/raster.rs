@@ -1,5 +1,6 @@
 //! Clusters of cells of a difference raster as what was found.
 
+use nalgebra::Vector3;
 use rockface_core::artefact::Grid;
 
 use super::found::Found;
@@ -20,7 +21,7 @@ pub fn cluster(
 ) -> Found {
     let area_m2 = grid.cell_m * grid.cell_m;
     let (mut sum, mut deviation, mut deepest, mut score) = (0.0, 0.0, 0.0f64, 0.0f64);
-    let mut points = Vec::with_capacity(8 * cells.len());
+    let (mut points, mut moment) = (Vec::with_capacity(8 * cells.len()), Vector3::zeros());
     for cell in cells {
         let (before, change) = surface(*cell);
         let limit = f64::from(limits_m[*cell]);
@@ -29,6 +30,7 @@ pub fn cluster(
         deepest = deepest.max(change.abs());
         score = score.max(change.abs() / limit);
         let (x, y) = grid.centre(cell / grid.columns, cell % grid.columns);
+        moment += change.abs() * Vector3::new(x, y, before + 0.5 * change);
         points.extend(corners([x, y, before], [0.0, 0.0, 1.0], change, 0.5 * grid.cell_m));
     }
     Found {
@@ -38,6 +40,7 @@ pub fn cluster(
         depth_max_m: deepest,
         depth_mean_m: sum / cells.len().max(1) as f64,
         score,
+        centroid_m: (moment / sum).into(),
         points,
     }
 }
@@ -68,5 +71,9 @@ mod tests {
         assert!((found.volume_sd_m3 - 0.25 * 0.15 / 1.96).abs() < 1e-9 && (found.score - 12.0).abs() < 1e-6);
         assert_eq!((found.cells[2], found.points.len()), ((1, 2), 24));
         assert!((found.points[4][2] - 9.9).abs() < 1e-12);
+        // Weighted by the changes -0.1, -0.2 and -0.6.
+        let expected =
+            [(0.1 * 0.75 + 0.2 * 1.25 + 0.6 * 1.25) / 0.9, (0.3 * 0.75 + 0.6 * 0.25) / 0.9, 10.0 - 0.5 * 0.41 / 0.9];
+        assert!((0..3).all(|axis| (found.centroid_m[axis] - expected[axis]).abs() < 1e-12), "{:?}", found.centroid_m);
     }
 }

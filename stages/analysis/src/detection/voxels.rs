@@ -4,6 +4,7 @@ use std::sync::atomic::{AtomicU8, Ordering};
 
 use rayon::prelude::*;
 
+use crate::detection::clusters;
 use rockface_core::artefact::Artefact;
 use rockface_core::{StageError, fail};
 use rockface_raster::shape::{Moved, Shape};
@@ -12,6 +13,8 @@ use rockface_raster::shape::{Moved, Shape};
 pub const MAXIMUM: f64 = 6e8;
 /// Most voxels between a surface and the origin: farther away a double does not count them one by one.
 const FARTHEST: f64 = 1e15;
+/// Voxels between surfaces that are apart.
+const APART: usize = 4;
 /// The reference occupies a voxel.
 const REFERENCE: u8 = 1;
 /// The comparison occupies a voxel.
@@ -145,9 +148,11 @@ impl Voxels {
         [REFERENCE, COMPARISON, REFERENCE | COMPARISON].map(count)
     }
 
-    /// The empty voxels that cannot be reached from outside over faces, in clusters over edges and corners, by first voxel.
-    pub fn enclosed(mut self) -> Vec<Cluster> {
+    /// The empty voxels that cannot be reached from outside over faces, in clusters over edges and corners, by first voxel; and at each place
+    /// where the surfaces are apart and the outside reaches between them, how many voxels lie there.
+    pub fn enclosed(mut self) -> (Vec<Cluster>, Vec<usize>) {
         self.flood();
+        let open = self.open();
         let mut clusters = Vec::new();
         for first in 0..self.flags.len() {
             if self.flags[first] == 0 {
@@ -155,7 +160,28 @@ impl Voxels {
                 clusters.push(self.cluster(self.position(first)));
             }
         }
-        clusters
+        (clusters, open)
+    }
+
+    /// Columns that touch in plan in which all between the uppermost voxels of both surfaces, four or more, is outside: over a gap of one of
+    /// the surfaces, or at its border.
+    fn open(&self) -> Vec<usize> {
+        let [columns, rows, _] = self.count;
+        let between: Vec<usize> = (0..rows * columns)
+            .into_par_iter()
+            .map(|column| {
+                let [x, y] = [column % columns, column / columns];
+                let flags = |z: usize| self.flags[self.place([x, y, z])];
+                let top = |bit: u8| (0..self.count[2]).rev().find(|z| flags(*z) & bit != 0);
+                let (Some(one), Some(other)) = (top(REFERENCE), top(COMPARISON)) else { return 0 };
+                let inner = one.min(other) + 1..one.max(other);
+                let is_open = inner.len() >= APART && inner.clone().all(|z| flags(z) & DONE != 0);
+                if is_open { inner.len() } else { 0 }
+            })
+            .collect();
+        let mask: Vec<bool> = between.iter().map(|count| *count > 0).collect();
+        let groups = clusters::groups(&mask, columns).into_iter();
+        groups.map(|group| group.iter().map(|column| between[*column]).sum()).collect()
     }
 
     /// Marks what is reached from the lower corner, which is outside as every border voxel is.
@@ -260,7 +286,7 @@ mod tests {
     }
 
     fn clusters(before: &Mesh, after: &Mesh) -> Vec<Cluster> {
-        Voxels::new([Shape::Mesh(before), Shape::Mesh(after)], None, 0.05).unwrap().enclosed()
+        Voxels::new([Shape::Mesh(before), Shape::Mesh(after)], None, 0.05).unwrap().enclosed().0
     }
 
     #[test]
@@ -331,7 +357,7 @@ mod tests {
         // 10 x 8 x 6 voxels meet the box; all but the outer layer are inside it.
         let shell = 10 * 8 * 6 - 8 * 6 * 4;
         assert_eq!(voxels.occupied(), [shell; 3]);
-        let found = voxels.enclosed();
+        let found = voxels.enclosed().0;
         assert_eq!((found.len(), found[0].inside.len(), found[0].shell), (1, 8 * 6 * 4, shell));
         assert_eq!(found[0].under, [0, 0]);
     }

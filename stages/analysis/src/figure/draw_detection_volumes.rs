@@ -8,6 +8,9 @@ use rockface_core::params::Range;
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
 use rockface_raster::columns;
 
+/// Ratios of volumes are drawn beyond this one.
+const LARGE_RATIO: f64 = 4.0;
+
 params! {
     /// Parameters of `draw-detection-volumes`.
     pub struct DrawDetectionVolumesParams {
@@ -26,7 +29,7 @@ pub struct DrawDetectionVolumes;
 impl Stage for DrawDetectionVolumes {
     type Params = DrawDetectionVolumesParams;
     const NAME: &'static str = "draw-detection-volumes";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: Page = Page::new(include_str!("draw_detection_volumes.md"));
     const INPUTS: &'static [Port] =
         &[Port::one("truth", &[Kind::Inventory], "The `truth` of `score-detections`, or many joined.")];
@@ -44,9 +47,8 @@ impl Stage for DrawDetectionVolumes {
         let volumes = Axes::new(Axis::log("true volume, m\u{b3}"), Axis::log("detected volume, m\u{b3}"))
             .with(Layer::new("equal", Mark::Diagonal))
             .with(Layer::points("", points(|change| change.detected_m3)));
-        let errors = Axes::new(Axis::log("true volume, m\u{b3}"), Axis::linear("volume error, %"))
-            .with(Layer::new("", Mark::AtY(0.0)).ink(Ink::Rule))
-            .with(Layer::points("", points(|change| change.detected_m3.map(|d| 100.0 * (d / change.volume_m3 - 1.0)))));
+        let ratios = points(|change| change.detected_m3.map(|detected| detected / change.volume_m3));
+        let errors = errors(ratios);
         let overlaps =
             Axes::new(Axis::log("true volume, m\u{b3}"), Axis::linear("intersection over union").between(0.0, 1.0))
                 .with(Layer::points("", points(|change| change.iou)));
@@ -61,6 +63,20 @@ impl Stage for DrawDetectionVolumes {
         let sheet = Sheet::of(panels).title(params.title.clone()).subtitle(subtitle);
         Ok(Outputs::of("figure", draw(&sheet).map_err(|e| StageError::new(e.to_string()))?))
     }
+}
+
+/// Detected by true volume: as an error in per cent, or as the ratio where one is so large that the others would lie on a line.
+fn errors(ratios: Vec<[f64; 2]>) -> Axes {
+    let x = Axis::log("true volume, m\u{b3}");
+    if ratios.iter().any(|[_, ratio]| *ratio > LARGE_RATIO) {
+        return Axes::new(x, Axis::log("detected / true volume"))
+            .with(Layer::new("", Mark::AtY(1.0)).ink(Ink::Rule))
+            .with(Layer::points("", ratios));
+    }
+    let per_cent = ratios.into_iter().map(|[volume, ratio]| [volume, 100.0 * (ratio - 1.0)]).collect();
+    Axes::new(x, Axis::linear("volume error, %"))
+        .with(Layer::new("", Mark::AtY(0.0)).ink(Ink::Rule))
+        .with(Layer::points("", per_cent))
 }
 
 /// A true change that counts.

@@ -9,6 +9,7 @@ use crate::noise::detrend::asymmetry;
 use crate::noise::learning::acquisitions::{Acquisitions, Shares, Source, Variety, acquisitions};
 use crate::noise::learning::bad::parted;
 use crate::noise::learning::by_place::{self, Strengths};
+use crate::noise::learning::common_share::common_share;
 use crate::noise::learning::contrast::{self, Figures, Nearest};
 use crate::noise::learning::departure::{Departure, Mean, of_another};
 use crate::noise::learning::differences::{check, differences, gaps, per_step, seen, skewnesses};
@@ -82,7 +83,7 @@ pub struct LearnNoise;
 impl Stage for LearnNoise {
     type Params = LearnNoiseParams;
     const NAME: &'static str = "learn-noise";
-    const VERSION: u32 = 30;
+    const VERSION: u32 = 31;
     const PAGE: Page = Page::new(include_str!("learn_noise.md"));
     const INPUTS: &'static [Port] = &[
         Port::many(
@@ -133,6 +134,13 @@ impl Stage for LearnNoise {
         let step_m = elevation_step_m(dem, block, pairs)?;
         let columns = dem.grid.columns;
         let Level { rasters_m: mut level_m, trends_m: trends, weights } = weighed(&all[..kept], columns, &step_m)?;
+        if let Some(share) = common_share(&level_m).filter(|share| *share > COMMON) {
+            context.warn(format!(
+                "the rasters have {:.0} % of their variance in common; differences from one and the same survey have half of it, and its errors are then taken for noise \
+                 that is the same every time: subtract each survey from the one before it",
+                100.0 * share
+            ));
+        }
         let before = power(&level_m);
         let bend_shapes = bends::shapes(&level_m, &trends, columns, &weights);
         bends::take_off(&mut level_m, &trends, &bend_shapes);
@@ -583,6 +591,8 @@ fn near(bands: &[f64]) -> Vec<f64> {
     (0..bands.len()).map(one).collect()
 }
 
+/// Rasters of surveys have less of their variance in common: those of three real faces have none.
+const COMMON: f64 = 0.25;
 /// Rounds in which what draws still miss is taken off.
 const ROUNDS: usize = 2;
 /// Differences drawn for each trial of contrast.

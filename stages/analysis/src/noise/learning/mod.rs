@@ -4,6 +4,7 @@ pub mod acquisitions;
 pub mod bad;
 pub mod bends;
 pub mod by_place;
+pub mod common_share;
 pub mod contrast;
 pub mod departure;
 pub mod differences;
