@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import rockface
+from rockface import _program
 
 PIPELINE = """
 rockface: 1
@@ -415,17 +416,12 @@ steps:
 
 def test_an_archive_has_the_modules_of_all_functions(bench):
     bench.module(RAISE)
-    program = os.environ["ROCKFACE_BIN"]
-
-    def ran(*words, folder=bench.folder):
-        return subprocess.run([program, *words], cwd=folder, capture_output=True, text=True, check=True)
-
-    ran("run", "own.yaml", "--target", "face")
-    ran("archive", "latest", "--inputs", "-o", "run.tar")
+    _program.call("run", "own.yaml", "--target", "face")
+    _program.call("archive", "latest", "--inputs", "-o", "run.tar")
     elsewhere = bench.folder / "elsewhere"
     elsewhere.mkdir()
     subprocess.run(["tar", "-xf", bench.folder / "run.tar"], cwd=elsewhere, check=True)
-    assert "outputs are the same" in ran("run", "run.json", folder=elsewhere).stdout
+    assert "outputs are the same" in _program.call("run", "run.json", cwd=elsewhere)
 
 
 def test_without_commands_no_function_is_called_or_described(bench):

@@ -38,11 +38,12 @@ fn take_over(arguments: &mut PipelineArgs, manifest: &Manifest, copied: Option<C
     arguments.pipeline = manifest.pipeline.folder.join(file);
     arguments.text = Some(manifest.pipeline.text.clone());
     let included = manifest.pipeline.included.iter();
-    arguments.included = included.map(|file| (without_detours(&file.path), file.text.clone())).collect();
+    arguments.included = included.map(|file| (file.path.clone(), file.text.clone())).collect();
     if let Some(copied) = copied {
         arguments.pipeline = copied.place(&arguments.pipeline);
         // The path of an include is relative to the copy, or what the pipeline says.
-        let in_copy = arguments.included.iter().map(|(path, text)| (copied.moved(path), text.clone()));
+        let in_copy =
+            arguments.included.iter().map(|(path, text)| (copied.moved(&without_detours(path)), text.clone()));
         let in_copy: Vec<(PathBuf, String)> = in_copy.collect();
         arguments.included.extend(in_copy);
         arguments.copied = Some(Arc::new(copied));

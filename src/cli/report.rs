@@ -37,12 +37,14 @@ impl ReportArgs {
             // The page that the run wrote has what only the store has.
             if to == run.folder.join(REPORT_FILE) && to.is_file() {
                 complain(
-                    "warning: there is no store here, so the page of the run stays as it is; `--store` writes it anew",
+                    "warning: no store here has results of this run, so its page stays as it is; `--store` writes it anew",
                 );
                 say(&to.display().to_string());
                 return if self.open { show(&to) } else { Ok(()) };
             }
-            complain("warning: there is no store here; what is not in the run folder is missing from the report");
+            complain(
+                "warning: no store here has results of this run; what is not in its folder is missing from the report",
+            );
         }
         let graph = report::graph_of(registry, &run.manifest);
         let (folder, manifest) = (&run.folder, &run.manifest);

@@ -208,23 +208,32 @@ impl Packing<'_> {
         let places =
             places.map_err(|(path, why)| HistoryError::Unpackable { path: path.to_owned(), why: why.to_string() })?;
         let (of_texts, of_files) = places.split_at(texts.len());
-        for (place, (_, text)) in of_texts.iter().zip(&texts) {
-            self.add(place, text.as_bytes())?;
+        for (place, (path, text)) in of_texts.iter().zip(&texts) {
+            if self.is_free(place, path, Digest::of(text.as_bytes()))? {
+                self.add(place, text.as_bytes())?;
+            }
         }
         for (place, (path, digest)) in of_files.iter().zip(&files) {
-            match self.sums.get(&**place) {
-                None => self.add_file(place, path, *digest)?,
-                Some(packed) if packed == digest => {}
-                Some(_) => {
-                    let why = format!(
-                        "another file has its place, {}: a `..` in its path goes back over a link",
-                        place.display()
-                    );
-                    return Err(HistoryError::Unpackable { path: path.clone(), why });
-                }
+            if self.is_free(place, path, *digest)? {
+                self.add_file(place, path, *digest)?;
             }
         }
         Ok(())
+    }
+
+    /// Whether nothing is in a place yet. The same file may be; another one is an error.
+    fn is_free(&self, place: &Path, path: &Path, digest: Digest) -> Result<bool, HistoryError> {
+        match self.sums.get(place) {
+            None => Ok(true),
+            Some(packed) if *packed == digest => Ok(false),
+            Some(_) => {
+                let why = format!(
+                    "another file has its place, {}: a `..` in its path goes back over a link",
+                    place.display()
+                );
+                Err(HistoryError::Unpackable { path: path.to_owned(), why })
+            }
+        }
     }
 
     /// Adds a file of any size, which must have this digest.

@@ -80,7 +80,7 @@ pub struct PipelineText {
     /// The copy its files were read from, where it was run from an archive.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub copied: Option<Copied>,
-    /// What planning has read to know the ports of its steps, whether they are needed or not: modules of Python functions.
+    /// What planning has read to know the ports of its steps, also of steps that were not run: modules of Python functions.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub asked: Vec<FileUsed>,
     /// The files it includes, in the order they were met.

@@ -43,10 +43,22 @@ impl Copied {
     }
 }
 
-/// Whether something is at a path; for a pattern, at what stands before its first wildcard.
+/// Whether something is at a path, or fits the pattern in its last part.
 fn is_there(path: &Path) -> bool {
-    let is_plain = |part: &Component| !part.as_os_str().to_string_lossy().contains(['*', '?', '[']);
-    path.components().take_while(is_plain).collect::<PathBuf>().exists()
+    let pattern = path.file_name().map(|name| name.to_string_lossy()).filter(|name| name.contains('*'));
+    let Some(pattern) = pattern else { return path.exists() };
+    let entries = path.parent().map(std::fs::read_dir).into_iter().flatten().flatten().flatten();
+    entries.into_iter().any(|entry| fits_pattern(&pattern, &entry.file_name().to_string_lossy()))
+}
+
+/// Whether a name fits a pattern in which `*` stands for any text.
+pub fn fits_pattern(pattern: &str, name: &str) -> bool {
+    let Some((head, rest)) = pattern.split_once('*') else { return pattern == name };
+    let (middle, last) = rest.rsplit_once('*').map_or((None, rest), |(middle, last)| (Some(middle), last));
+    let Some(inner) = name.strip_prefix(head).and_then(|tail| tail.strip_suffix(last)) else { return false };
+    // Between the first and the last star: each part at the first place it fits leaves the most for those behind it.
+    let mut parts = middle.into_iter().flat_map(|middle| middle.split('*'));
+    parts.try_fold(inner, |left, part| left.find(part).map(|at| &left[at + part.len()..])).is_some()
 }
 
 /// What the paths in a step are relative to.
@@ -133,7 +145,31 @@ mod tests {
         assert_eq!(place(&from.join("data/a.ply")), to.join("data/a.ply"));
         assert_eq!(place(&to.join("data/a.ply")), to.join("data/a.ply"));
         assert_eq!(place(&from.join("data/new.ply")), from.join("data/new.ply"));
-        assert_eq!(place(&from.join("data/d*.ply")), to.join("data/d*.ply"));
+        assert_eq!(place(&from.join("data/a*.ply")), to.join("data/a*.ply"));
+        assert_eq!(place(&from.join("data/n*.ply")), from.join("data/n*.ply"));
         assert_eq!(place(&from.join("data/none.ply")), to.join("data/none.ply"));
+    }
+
+    #[test]
+    fn patterns() {
+        assert!(
+            fits_pattern("*.tif", "a.tif")
+                && fits_pattern("cmp_*_*.tif", "cmp_00_01.tif")
+                && fits_pattern("*", "")
+                && fits_pattern("**", "a")
+        );
+        assert!(fits_pattern("a*b*a", "abba") && fits_pattern("*a*b*", "xaxbx") && fits_pattern("a.tif", "a.tif"));
+        assert!(!fits_pattern("*.tif", "a.tiff") && !fits_pattern("cmp_*.tif", "x_cmp_1.tif"));
+        assert!(
+            !fits_pattern("a*a", "a")
+                && !fits_pattern("a*b*a", "aba_")
+                && !fits_pattern("*a*b*", "bxa")
+                && !fits_pattern("a*bb*b", "abb")
+        );
+    }
+
+    #[test]
+    fn a_pattern_of_many_stars_takes_no_longer_than_its_length() {
+        assert!(!fits_pattern(&"*a".repeat(60), &format!("{}b", "a".repeat(250))));
     }
 }

@@ -37,8 +37,10 @@ impl Texts {
 
     /// The text of a file that a pipeline names.
     pub fn read(&mut self, path: &Path) -> Result<String, Diagnostic> {
-        let absolute = without_detours(&std::path::absolute(path).unwrap_or_else(|_| path.to_owned()));
-        if let Some(given) = self.given.get(&absolute) {
+        // As it is written before its plain form: a `..` may go back over a link.
+        let absolute = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
+        let given = self.given.get(&absolute).or_else(|| self.given.get(&without_detours(&absolute)));
+        if let Some(given) = given {
             return Ok(given.clone());
         }
         let text = read_text(path)?;

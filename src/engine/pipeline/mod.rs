@@ -35,7 +35,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 pub use axis::{Axis, bad_item};
-pub use base::{Base, Copied, without_detours};
+pub use base::{Base, Copied, fits_pattern, without_detours};
 pub use document::{Document, Unread};
 pub use file_text::is_stream;
 pub use input::Input;
@@ -111,7 +111,12 @@ impl Pipeline {
         path: &Path,
         overrides: &Overrides,
     ) -> Result<Self, Diagnostics> {
-        let given = included.into_iter().map(|(path, text)| (without_detours(&path), text)).collect();
+        let plain: Vec<(PathBuf, String)> =
+            included.iter().map(|(path, text)| (without_detours(path), text.clone())).collect();
+        let mut given = included;
+        for (path, text) in plain {
+            given.entry(path).or_insert(text);
+        }
         Self::of_texts(text, Texts { given, ..Texts::default() }, path, overrides)
     }
 

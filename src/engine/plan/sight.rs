@@ -9,6 +9,8 @@ use std::path::{Path, PathBuf};
 
 use rockface_cache::{Digest, Seen};
 
+use crate::pipeline::fits_pattern;
+
 /// What was seen where; links are followed.
 pub type Looks = BTreeSet<(PathBuf, Seen)>;
 
@@ -54,7 +56,7 @@ impl<'a> Sight<'a> {
         };
         let matches = |file: &Path| {
             let name = file.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
-            pattern.as_ref().map_or(!name.starts_with('.'), |pattern| fits(pattern, &name))
+            pattern.as_ref().map_or(!name.starts_with('.'), |pattern| fits_pattern(pattern, &name))
         };
         let named = self.entries(folder).map_err(|error| format!("cannot read `{}`: {error}", folder.display()))?;
         let (named, others): (Vec<PathBuf>, Vec<PathBuf>) = named.into_iter().partition(|file| matches(file));
@@ -109,16 +111,6 @@ pub fn kind_of(entry: FileType) -> &'static str {
     }
 }
 
-/// Whether a name fits a pattern in which `*` stands for any text.
-fn fits(pattern: &str, name: &str) -> bool {
-    let Some((head, rest)) = pattern.split_once('*') else { return pattern == name };
-    let (middle, last) = rest.rsplit_once('*').map_or((None, rest), |(middle, last)| (Some(middle), last));
-    let Some(inner) = name.strip_prefix(head).and_then(|tail| tail.strip_suffix(last)) else { return false };
-    // Between the first and the last star: each part at the first place it fits leaves the most for those behind it.
-    let mut parts = middle.into_iter().flat_map(|middle| middle.split('*'));
-    parts.try_fold(inner, |left, part| left.find(part).map(|at| &left[at + part.len()..])).is_some()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -127,19 +119,6 @@ mod tests {
     fn what_is_no_file_is_called_what_it_is() {
         assert!(one_file(Path::new("/dev/null")).unwrap_err().contains("`/dev/null` is a device"));
         assert!(one_file(Path::new("/dev")).unwrap_err().contains("is a folder"));
-    }
-
-    #[test]
-    fn patterns() {
-        assert!(fits("*.tif", "a.tif") && fits("cmp_*_*.tif", "cmp_00_01.tif") && fits("*", "") && fits("**", "a"));
-        assert!(fits("a*b*a", "abba") && fits("*a*b*", "xaxbx") && fits("a.tif", "a.tif"));
-        assert!(!fits("*.tif", "a.tiff") && !fits("cmp_*.tif", "x_cmp_1.tif"));
-        assert!(!fits("a*a", "a") && !fits("a*b*a", "aba_") && !fits("*a*b*", "bxa") && !fits("a*bb*b", "abb"));
-    }
-
-    #[test]
-    fn a_pattern_of_many_stars_takes_no_longer_than_its_length() {
-        assert!(!fits(&"*a".repeat(60), &format!("{}b", "a".repeat(250))));
     }
 
     #[test]

@@ -46,7 +46,9 @@ impl Stage for ExportCloud {
         let artefact = inputs.artefact("points")?;
         let made = match artefact {
             Artefact::Raster(raster) if raster.quantity == "difference" => {
-                fail!("the raster holds differences, and points are made of elevations: hand over the DEM")
+                let message = "the quantity of the raster is `difference`, and points are made of elevations";
+                return Err(StageError::new(message)
+                    .hint("hand over the DEM; `quantity: elevation` of `import-rasters` says that a file is one"));
             }
             Artefact::Raster(raster) => Some(raster_surface::between_cells(raster).map_err(|e| e.within("`points`"))?),
             _ => None,
@@ -105,7 +107,7 @@ mod tests {
         let message = |inputs: &[(&str, Artefact)]| export(inputs).unwrap_err().message;
         assert!(message(&[("points", raster(2).into())]).contains("2 bands"));
         let change = Raster { quantity: "difference".into(), ..raster(1) };
-        assert!(message(&[("points", change.into())]).contains("holds differences"));
+        assert!(message(&[("points", change.into())]).contains("is `difference`"));
         let world = Raster { frame: Frame::World, ..raster(1) };
         assert!(message(&[("points", raster(1).into()), ("labels", world.into())]).contains("world frame"));
         let away = Transform::identity("world", "world");

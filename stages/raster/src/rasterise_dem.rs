@@ -125,7 +125,7 @@ impl Stage for RasteriseDem {
                 let message =
                     format!("the surface is in the {} frame, the grid in the {} frame", change.frame, raster.frame);
                 return Err(
-                    StageError::new(message).hint("port `transform` takes the surface to the frame of the grid")
+                    StageError::new(message).hint("port `transform` takes the surface to the frame of the grid; `frame` of the importers says in which frame a file is that does not say so itself")
                 );
             }
             Some(raster) => usable(raster.grid)?,

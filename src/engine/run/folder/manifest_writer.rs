@@ -14,7 +14,7 @@ use crate::diagnostic::{Origin, Source};
 use crate::history::{
     FORMAT, FileUsed, IncludedText, ItemValues, Manifest, Metric, Overridden, PartUsed, PipelineText, StepDone,
 };
-use crate::pipeline::{Axis, Used, without_detours};
+use crate::pipeline::{Axis, Used};
 use crate::plan::Plan;
 use crate::run::{RunError, RunFolder, Summary};
 
@@ -54,7 +54,8 @@ pub fn manifest(
 /// The store, unless it is where commands look for it by themselves.
 fn store_elsewhere(store: &Store, about: &RunFolder) -> Result<Option<PathBuf>, RunError> {
     let absolute = |path: &Path| std::path::absolute(path).map_err(failed(path));
-    let (own, runs) = (without_detours(&absolute(store.dir())?), without_detours(&absolute(about.runs)?));
+    let real = |path: &Path| std::fs::canonicalize(path).map_or_else(|_| absolute(path), Ok);
+    let (own, runs) = (real(store.dir())?, real(about.runs)?);
     let is_beside = runs.parent().is_some_and(|folder| folder.join("store") == own);
     Ok((!is_beside).then_some(own))
 }

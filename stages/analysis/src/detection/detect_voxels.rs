@@ -15,9 +15,9 @@ use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, Sta
 use rockface_raster::raster_surface;
 use rockface_raster::shape::{Moved, Shape};
 
-/// Voxels of a place that a warning counts, at least, and the share of the whole that is worth one.
+/// Voxels of a place that a warning counts, at least, and the share of all that was found or lies open that is worth one.
 const OPEN_VOXELS: usize = 27;
-const OPEN_SHARE: f64 = 0.1;
+const OPEN_SHARE: f64 = 0.25;
 
 params! {
     /// Parameters of `detect-voxels`.
@@ -152,18 +152,16 @@ fn body(cluster: &Cluster, grid: &Grid, low: [f64; 3], edge_m: f64) -> Found {
     }
 }
 
-/// Says what is not found since the outside reaches between the surfaces, if it is a tenth of all or more.
+/// Says what is not found since the outside reaches between the surfaces, if it is a quarter of all or more.
 fn warn_of_open(open: &[usize], found: &[Found], params: &DetectVoxelsParams, context: &Context) {
-    let large: Vec<usize> =
-        open.iter().copied().filter(|voxels| *voxels >= OPEN_VOXELS.max(params.least_voxels as usize)).collect();
-    let (places, voxels) = (large.len(), large.iter().sum::<usize>());
+    let large = open.iter().filter(|voxels| **voxels >= OPEN_VOXELS.max(params.least_voxels as usize));
+    let voxels: usize = large.sum();
     let (edge_m, volume) = (params.voxel_m, found.iter().fold(0.0, |sum, found| sum + found.volume_m3));
     let lost_m3 = voxels as f64 * edge_m * edge_m * edge_m;
-    if places > 0 && lost_m3 > OPEN_SHARE * (volume + lost_m3) {
-        let places = if places == 1 { "one place".to_owned() } else { format!("{places} places") };
+    if lost_m3 > OPEN_SHARE * (volume + lost_m3) {
         context.warn(format!(
-            "at {places} the surfaces are apart, {lost_m3:.3} m3 in all, and the outside reaches between them, over a gap of one of them or at its border: nothing is \
-             found there; close the gaps, or compare with `detect-raster`"
+            "{lost_m3:.3} m3 between the surfaces are open to the outside, over gaps of one of them, at its border, or since the voxels are finer than the noise: nothing is \
+             found there; `detect-raster` does not need closed surfaces"
         ));
     }
 }
@@ -234,7 +232,7 @@ mod tests {
         let inputs = [("reference", reference.clone().into()), ("comparison", after.clone().into())];
         run_stage::<DetectVoxels>(&host, &json!({"voxel_m": 0.02}), &inputs).unwrap();
         let told = host.warnings();
-        assert!(told.len() == 1 && told[0].starts_with("at one place the surfaces are apart"), "{told:?}");
+        assert!(told.len() == 1 && told[0].contains("m3 between the surfaces are open to the outside"), "{told:?}");
         assert!(found(reference, after, "loss").0.features.is_empty());
     }
 }

@@ -137,7 +137,7 @@ impl Stage for LearnNoise {
         if let Some(share) = common_share(&level_m).filter(|share| *share > COMMON) {
             context.warn(format!(
                 "the rasters have {:.0} % of their variance in common; differences from one and the same survey have half of it, and its errors are then taken for noise \
-                 that is the same every time: subtract each survey from the one before it",
+                 that is the same every time: subtract from each survey the one before it",
                 100.0 * share
             ));
         }

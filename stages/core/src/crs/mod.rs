@@ -120,9 +120,13 @@ impl Crs {
         }
         let (one, two) = (self.node(), other.node());
         let ((plane, height), (other_plane, other_height)) = (parts(&one), parts(&two));
+        let alike = || signature::of(plane).is_some_and(|own| signature::of(other_plane) == Some(own));
         let same_plane = match (self.epsg(), other.epsg()) {
-            (Some(code), Some(other)) => code == other,
-            _ => signature::of(plane).is_some_and(|own| signature::of(other_plane) == Some(own)),
+            // Two codes may be one system with its axes in another order; of a code that is not known here nobody can say.
+            (Some(one), Some(two)) => {
+                one == two || [one, two].into_iter().all(|code| definition(code).is_some()) && alike()
+            }
+            _ => alike(),
         };
         let same_height = match (height, other_height) {
             (Some(height), Some(other)) => match (height.epsg(), other.epsg()) {

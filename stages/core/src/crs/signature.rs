@@ -182,37 +182,22 @@ pub fn plain(name: &str) -> String {
     name.chars().filter(char::is_ascii_alphanumeric).map(|c| c.to_ascii_lowercase()).collect()
 }
 
-/// Codes that EPSG has withdrawn for others of the same systems: Gauss-Kruger zones of Germany.
-const DEPRECATED: std::ops::RangeInclusive<u16> = 31461..=31465;
+/// Gauss-Kruger zones of Germany under codes that EPSG has withdrawn.
+const WITHDRAWN: std::ops::RangeInclusive<u16> = 31461..=31465;
+/// Ends of the names of systems that differ from another one in the order of their axes.
+const ORDERS: [&str; 5] = ["(N-E)", "(E-N)", "(N,E)", "(E,N)", "(N-zE)"];
 
-/// The code of the system in metres that is the same; `None` where there is none or several. Of systems that differ in the order of their axes
-/// it is the one that counts eastings first, as files do: EPSG:25832, not EPSG:3044.
+/// The code of the one system in metres that is the same; `None` where there is none or several. A system that differs in the order of its axes
+/// only does not count beside another: EPSG:3044 beside EPSG:25832, EPSG:5677 beside EPSG:31467.
 pub fn find(node: &Node) -> Option<u32> {
     let wanted = of(node)?;
-    let known = (2000..=u16::MAX).filter(|code| !DEPRECATED.contains(code)).filter_map(|code| {
+    let known = (2000..=u16::MAX).filter(|code| !WITHDRAWN.contains(code)).filter_map(|code| {
         let known = crs_definitions::from_code(code).filter(|known| known.wkt.starts_with("PROJCS"))?;
         let known = Node::parse(known.wkt).ok().filter(|known| of(known).as_ref() == Some(&wanted))?;
-        Some((u32::from(code), known))
+        Some((u32::from(code), ORDERS.iter().any(|order| known.name().ends_with(order))))
     });
-    let same: Vec<(u32, Node)> = known.collect();
-    let codes: Vec<u32> = match same.len() {
-        0 | 1 => same.iter().map(|(code, _)| *code).collect(),
-        _ if counts_north_first(node) => Vec::new(),
-        _ => same.iter().filter(|(_, known)| ways(known) == ["EAST", "NORTH"]).map(|(code, _)| *code).collect(),
-    };
+    let same: Vec<(u32, bool)> = known.collect();
+    let usual = same.iter().filter(|(_, is_reordered)| same.len() == 1 || !is_reordered);
+    let codes: Vec<u32> = usual.map(|(code, _)| *code).collect();
     if let [only] = codes.as_slice() { Some(*only) } else { None }
-}
-
-fn counts_north_first(node: &Node) -> bool {
-    ways(node).first().is_some_and(|way| way == "NORTH")
-}
-
-/// Which ways the axes of a map count.
-fn ways(node: &Node) -> Vec<String> {
-    let axes = node.nodes().filter(|child| child.keyword == "AXIS");
-    axes.filter_map(|axis| match axis.arguments.get(1) {
-        Some(Argument::Word(way)) => Some(way.to_uppercase()),
-        _ => None,
-    })
-    .collect()
 }

@@ -227,7 +227,7 @@ fn esri(datum: &str, [axis, flattening]: [f64; 2], projection: &str, parameters:
 }
 
 #[test]
-fn of_systems_that_differ_in_the_order_of_axes_the_one_that_files_have_is_taken() {
+fn a_system_with_its_axes_in_another_order_does_not_count_beside_another() {
     let utm = |axes: &str| {
         format!(
             "PROJCS[\"ETRS_1989_UTM_Zone_32N\",GEOGCS[\"GCS_ETRS_1989\",DATUM[\"D_ETRS_1989\",SPHEROID[\"GRS_1980\",6378137.0,298.257222101]],\
@@ -236,15 +236,22 @@ fn of_systems_that_differ_in_the_order_of_axes_the_one_that_files_have_is_taken(
              PARAMETER[\"Latitude_Of_Origin\",0.0],UNIT[\"Meter\",1.0]{axes}]"
         )
     };
-    let code = |axes: &str| signature::find(&Node::parse(&utm(axes)).unwrap());
-    assert_eq!(code(""), Some(25832));
-    assert_eq!(code(",AXIS[\"E\",EAST],AXIS[\"N\",NORTH]"), Some(25832));
-    assert_eq!(code(",AXIS[\"N\",NORTH],AXIS[\"E\",EAST]"), None);
+    let code = |text: &str| signature::find(&Node::parse(text).unwrap());
+    assert_eq!(code(&utm("")), Some(25832));
+    assert_eq!(code(&utm(",AXIS[\"E\",EAST],AXIS[\"N\",NORTH]")), Some(25832));
+    // Beside 25835 there are 3047, and 3067 and 5048 of Finland.
+    assert_eq!(code(&utm("").replace("Meridian\",9.0", "Meridian\",27.0")), Some(25835));
+    let crs = |code: u32| format!("EPSG:{code}").parse::<Crs>().unwrap();
+    assert!(
+        crs(25832).agrees_with(&crs(3044))
+            && !crs(25832).agrees_with(&crs(25833))
+            && !crs(25832).agrees_with(&crs(32632))
+    );
     let german = "PROJCS[\"DHDN_3_Degree_Gauss_Zone_3\",GEOGCS[\"GCS_Deutsches_Hauptdreiecksnetz\",DATUM[\"D_Deutsches_Hauptdreiecksnetz\",\
         SPHEROID[\"Bessel_1841\",6377397.155,299.1528128]],PRIMEM[\"Greenwich\",0.0],UNIT[\"Degree\",0.0174532925199433]],\
         PROJECTION[\"Gauss_Kruger\"],PARAMETER[\"False_Easting\",3500000.0],PARAMETER[\"False_Northing\",0.0],\
         PARAMETER[\"Central_Meridian\",9.0],PARAMETER[\"Scale_Factor\",1.0],PARAMETER[\"Latitude_Of_Origin\",0.0],UNIT[\"Meter\",1.0]]";
-    assert_eq!(signature::find(&Node::parse(german).unwrap()), Some(5677));
+    assert_eq!(code(german), Some(31467));
 }
 
 const INTERNATIONAL: [f64; 2] = [6_378_388.0, 297.0];
