@@ -38,10 +38,9 @@ fn listen(trace: Option<Trace>) {
     tracing_subscriber::registry().with(said.with_filter(filter)).with(recorded).init();
 }
 
-/// Whether what is said on standard error has colours. See <https://no-color.org>: any text but an empty one.
+/// Whether what is said on standard error has colours.
 fn is_coloured() -> bool {
-    let is_plain = std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
-    std::io::stderr().is_terminal() && !is_plain
+    std::io::stderr().is_terminal() && !output::is_plain()
 }
 
 /// Runs a command and prints why it failed, if it did; returns the exit code.
@@ -57,7 +56,7 @@ fn run_command(cli: Cli, registry: &Registry) -> i32 {
     let Err(error) = result else { return 0 };
     let message = error.render(is_coloured());
     if !message.is_empty() {
-        output::complain(&message);
+        output::complain_in_colour(&message);
     }
     error.exit_code()
 }

@@ -167,10 +167,15 @@ impl Blobs {
             let away = entry.at("list", tmp)?.path();
             let name = away.file_name().and_then(|name| name.to_str()?.strip_prefix(TEMPORARY_BLOB));
             let Some(digest) = name.and_then(|name| name.parse::<Digest>().ok()) else { continue };
+            let path = self.path(&digest);
+            // Never through a link, which could lead out of the store.
+            if !path.parent().is_some_and(plain::is_folder) {
+                continue;
+            }
             // The lock is held until it is back. What cannot be moved now is left for another time.
             let held = plain::open(&away).ok().and_then(|file| abandoned(file, &away));
             if held.is_some() {
-                let _ = fs::rename(&away, self.path(&digest));
+                let _ = fs::rename(&away, path);
             }
         }
         Ok(())
@@ -244,6 +249,19 @@ mod tests {
         blobs.take_back().unwrap();
         assert_eq!(blobs.get(&digest).unwrap(), b"blob");
         assert!(!away.exists());
+    }
+
+    #[test]
+    fn nothing_is_taken_back_through_a_link() {
+        let (folder, blobs, digest) = aged();
+        let (inside, outside) = (blobs.path(&digest), folder.path().join("outside"));
+        let around = inside.parent().unwrap();
+        fs::rename(around, &outside).unwrap();
+        let precious = outside.join(digest.to_string());
+        std::os::unix::fs::symlink(&outside, around).unwrap();
+        fs::write(folder.path().join(TMP).join(format!("{TEMPORARY_BLOB}{digest}")), "of somebody else").unwrap();
+        blobs.take_back().unwrap();
+        assert_eq!(fs::read(&precious).unwrap(), b"blob");
     }
 
     #[test]

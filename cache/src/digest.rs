@@ -58,6 +58,15 @@ impl Digest {
         }
     }
 
+    /// The digest of some pieces under a key, without which nobody can make it; the length of each is part of it.
+    pub(crate) fn keyed(key: &[u8; 32], pieces: &[&[u8]]) -> Self {
+        let mut hasher = blake3::Hasher::new_keyed(key);
+        for piece in pieces {
+            hasher.update(&(piece.len() as u64).to_le_bytes()).update(piece);
+        }
+        Self(*hasher.finalize().as_bytes())
+    }
+
     /// A digest computed elsewhere.
     pub const fn from_bytes(bytes: [u8; 32]) -> Self {
         Self(bytes)

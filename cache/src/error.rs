@@ -178,7 +178,9 @@ impl StoreError {
                 let (digest, moved_to) = (digest.short(), moved_to.display());
                 format!("blob {digest} was damaged on disk and has been set aside as {moved_to}; check the disk")
             }
-            Self::Missing { digest } => format!("blob {} is not in the store any more", digest.short()),
+            Self::Missing { digest } => {
+                format!("blob {} is not in the store, and no remote place gave it", digest.short())
+            }
             other => other.to_string(),
         }
     }

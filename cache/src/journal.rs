@@ -215,8 +215,7 @@ impl Journal {
     fn begin_segment(&self) -> Result<Writer, StoreError> {
         loop {
             let stamp = self.tick()?;
-            let suffix = self.own.as_deref().unwrap_or(SUFFIX);
-            let name = format!("{stamp:016x}-{:x}{suffix}", std::process::id());
+            let name = format!("{stamp:016x}-{:x}{}", std::process::id(), self.own_suffix());
             if let Some(writer) = self.claim_named(&name)? {
                 self.owe(&self.dir);
                 return Ok(writer);
@@ -234,6 +233,16 @@ impl Journal {
         self.sync()?;
         drop(self.writer().take());
         Ok(())
+    }
+
+    /// Lets go of the segment of this process as it is.
+    pub(crate) fn release(&self) {
+        drop(self.writer().take());
+    }
+
+    /// How the names of segments of this machine end.
+    pub(crate) fn own_suffix(&self) -> &str {
+        self.own.as_deref().unwrap_or(SUFFIX)
     }
 
     /// Appends a frame that is in another segment, with the stamp it had. It goes to a segment that was begun for this.

@@ -82,17 +82,25 @@ impl Journal {
     /// Copies what counts and `stays` from the claimed segments, and makes it durable. At no moment is anything that
     /// stays in no segment at all, on disk too.
     pub(crate) fn copy_all(&self, claimed: &Claimed, stays: impl Fn(&Header) -> bool) -> Result<(), StoreError> {
-        for (name, file) in &claimed.free {
-            self.copy_live(name, file, &stays)?;
-        }
-        self.rest()
+        let before = self.names()?;
+        let copied = claimed.free.iter().try_for_each(|(name, file)| self.copy_live(name, file, &stays));
+        copied.and_then(|()| self.rest()).inspect_err(|_| self.forget_copies(&before))
     }
 
-    /// Removes the claimed segments.
-    pub(crate) fn remove(&self, claimed: Claimed) -> Result<(), StoreError> {
-        // Each is held until it is gone.
-        for (name, _held) in claimed.free {
-            let path = self.path(&name);
+    /// Removes the segments that a copy which failed has begun: they hold nothing that is not in those it was copied from.
+    fn forget_copies(&self, before: &[String]) {
+        self.release();
+        let own = format!("-{:x}{}", std::process::id(), self.own_suffix());
+        let begun = self.names().unwrap_or_default().into_iter().filter(|name| name.ends_with(&own));
+        for name in begun.filter(|name| !before.contains(name)) {
+            let _ = std::fs::remove_file(self.path(&name));
+        }
+    }
+
+    /// Removes the claimed segments, which are held until they are gone.
+    pub(crate) fn remove(&self, claimed: &Claimed) -> Result<(), StoreError> {
+        for (name, _held) in &claimed.free {
+            let path = self.path(name);
             std::fs::remove_file(&path).at("remove", &path)?;
         }
         self.refresh()

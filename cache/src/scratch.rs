@@ -126,6 +126,11 @@ fn clear(folder: &Path, for_programs: bool) {
     if for_programs {
         std::path::absolute(folder).iter().for_each(|folder| end_programs(folder));
     }
+    // A link that somebody put there may lead anywhere: it goes, what it leads to stays.
+    if !plain::is_folder(folder) {
+        let _ = fs::remove_file(folder);
+        return;
+    }
     if fs::remove_dir_all(folder).is_err() {
         // A program may have made folders in which nothing can be removed.
         open_up(folder);
@@ -188,6 +193,25 @@ mod tests {
         assert!(of_used.try_wait().unwrap().is_none(), "it goes on");
         drop(used);
         of_used.wait().unwrap();
+    }
+
+    #[test]
+    fn what_a_link_in_the_place_of_a_folder_leads_to_stays_as_it_is() {
+        let place = tempfile::tempdir().unwrap();
+        let (root, home) = (place.path().join("scratch"), place.path().join("home"));
+        fs::create_dir_all(&root).unwrap();
+        fs::create_dir_all(home.join("group")).unwrap();
+        fs::set_permissions(home.join("group"), Permissions::from_mode(0o750)).unwrap();
+        let link = root.join(format!("{PROGRAMS}a"));
+        fs::write(lock_of(&link), "").unwrap();
+        std::os::unix::fs::symlink(&home, &link).unwrap();
+        // Also where the link cannot be removed, which root always can.
+        fs::set_permissions(&root, Permissions::from_mode(0o555)).unwrap();
+        sweep(&root).unwrap();
+        fs::set_permissions(&root, Permissions::from_mode(0o755)).unwrap();
+        sweep(&root).unwrap();
+        let mode = std::os::unix::fs::MetadataExt::mode(&fs::metadata(home.join("group")).unwrap());
+        assert_eq!((mode & 0o777, link.exists()), (0o750, false));
     }
 
     #[test]

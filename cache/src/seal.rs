@@ -100,8 +100,19 @@ impl Blobs {
         if is_known { Ok(()) } else { self.verify(digest, &path) }
     }
 
+    /// Refuses a link in the place of the folder of a blob: nothing of what is behind it is sealed or set aside.
+    fn check_folder(path: &Path) -> Result<(), StoreError> {
+        match path.parent() {
+            Some(folder) if !plain::is_folder(folder) && !plain::is_absent(folder) => {
+                Err(StoreError::Foreign { path: folder.to_owned() })
+            }
+            _ => Ok(()),
+        }
+    }
+
     /// Reads a blob; seals it again where its seal was broken, or sets it aside.
     fn verify(&self, digest: &Digest, path: &Path) -> Result<(), StoreError> {
+        Self::check_folder(path)?;
         let file = self.open(digest)?;
         let meta = file.metadata().at("look at", path)?;
         let (found, _) = Digest::of_reader(&file).at("read", path)?;
@@ -150,6 +161,9 @@ impl Blobs {
     /// Moves a damaged blob out of the way and says where to.
     pub(crate) fn quarantine(&self, digest: &Digest) -> StoreError {
         let (path, moved_to) = (self.path(digest), self.quarantine_path(digest));
+        if let Err(fault) = Self::check_folder(&path) {
+            return fault;
+        }
         match fs::rename(&path, &moved_to) {
             Ok(()) => StoreError::Damaged { digest: *digest, moved_to },
             Err(fault) if fault.kind() == ErrorKind::NotFound => StoreError::Missing { digest: *digest },
@@ -240,6 +254,20 @@ mod tests {
         let damaged = Store::open(store.dir()).unwrap().scrub(all).unwrap();
         assert_eq!(damaged.iter().map(|one| one.digest).collect::<Vec<_>>(), [digest]);
         assert!(damaged[0].moved_to.exists() && !path.exists());
+    }
+
+    #[test]
+    fn nothing_behind_a_link_in_the_place_of_a_folder_is_set_aside_or_sealed() {
+        let (folder, store, digest, path) = stored();
+        let (around, outside) = (path.parent().unwrap(), folder.path().join("outside"));
+        fs::rename(around, &outside).unwrap();
+        symlink(&outside, around).unwrap();
+        let file = outside.join(path.file_name().unwrap());
+        flip_a_bit(&file);
+        fs::File::open(&file).unwrap().set_modified(UNIX_EPOCH).unwrap();
+        assert!(matches!(store.blobs().check(&digest, None), Err(StoreError::Foreign { path }) if path == around));
+        assert!(store.get(&digest).is_err() && file.exists());
+        assert_eq!(fs::metadata(&file).unwrap().modified().unwrap(), UNIX_EPOCH);
     }
 
     #[test]

@@ -58,3 +58,6 @@ class StepError(RockfaceError):
         """One entry for each step that failed."""
         self.run = run
         """The run with what was finished."""
+
+    def __reduce__(self) -> tuple[type[StepError], tuple[list[StepFailure], Run | None]]:
+        return type(self), (self.failures, self.run)

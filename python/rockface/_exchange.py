@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import io
 import json
+import re
 import tarfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -92,8 +93,8 @@ def _written_raster(raster: Raster) -> bytes:
             )
     common = max((values.dtype for values in arrays.values()), key=lambda dtype: ("u1", "u2", "f4").index(dtype.str[1:]))
     header = {
-        "columns": grid.columns,
-        "rows": grid.rows,
+        "columns": int(grid.columns),
+        "rows": int(grid.rows),
         "cell_m": float(grid.cell_m),
         "left_m": float(grid.left_m),
         "top_m": float(grid.top_m),
@@ -197,11 +198,20 @@ def _written_cloud(cloud: Cloud) -> bytes:
     count = len(points)
     lists: dict[str, Any] = {"normals": cloud.normals, "colours": cloud.colours, **cloud.numbers}
     for name, values in lists.items():
+        if name not in ("normals", "colours"):
+            _check_number_name(name)
         if len(values) not in ((0, count) if name in ("normals", "colours") else (count,)):
             raise WrongOutputError(f"`{name}` has {len(values)} values for {count} points")
     colours = _whole("colours", cloud.colours, 0, 255).astype("u1")
     numbers = {name: _whole(name, values, 0, 2**32 - 1).astype("<u4") for name, values in cloud.numbers.items()}
     return ply.write_cloud(Cloud(cloud.frame, points, cloud.normals, colours, numbers, cloud.georeference))
+
+
+def _check_number_name(name: str) -> None:
+    if name in ply.RESERVED or not re.fullmatch("[a-z0-9_]+", name):
+        taken = ", ".join(ply.RESERVED)
+        told = f"`{name}` cannot name a number of a cloud: lower-case letters, digits and `_`, and none of {taken}"
+        raise WrongOutputError(f"{told}, which the points have")
 
 
 def _written_surface(surface: Surface) -> bytes:
@@ -219,6 +229,12 @@ def _written_surface(surface: Surface) -> bytes:
 def _written_depth(depth: DepthMap) -> bytes:
     channels = {name: unmasked(values) for name, values in depth.channels.items()}
     depth = replace(depth, z=unmasked(depth.z), channels=channels)
+    sides = (depth.sensor.height_px // depth.downscale, depth.sensor.width_px // depth.downscale)
+    if np.shape(depth.z) != sides:
+        raise WrongOutputError(
+            f"Z has the shape {np.shape(depth.z)}; the sensor with downscale {depth.downscale} has {sides}: "
+            "set pixels that are not wanted to NaN"
+        )
     for name, values in {"Z": depth.z, **depth.channels}.items():
         array = np.asarray(values)
         if array.dtype.kind not in "fiu" or array.shape != np.shape(depth.z) or array.ndim != 2:
@@ -251,23 +267,25 @@ def _written_table(table: Table) -> bytes:
     if twins:
         raise WrongOutputError(f"two columns of the table are called `{twins[0]}`")
 
-    def cell(value: Any, place: int) -> Any:
-        value = value.item() if isinstance(value, np.generic) else value
-        if value is np.ma.masked or (isinstance(value, float) and np.isnan(value)):
-            return None
-        if isinstance(value, float) and np.isinf(value):
-            raise WrongOutputError(
-                f"column `{table.columns[place]}` of the table has {value}, which no number of a table is; give NaN or a text"
-            )
-        is_whole = isinstance(value, int) and not isinstance(value, bool)
-        if is_whole and (not -(2**63) < value < 2**63 or int(float(value)) != value):
-            raise WrongOutputError(
-                f"column `{table.columns[place]}` of the table has {value}, more digits than a number holds; give it as a text"
-            )
-        return value
-
-    rows = [[cell(value, place) for place, value in enumerate(row)] for row in table.rows]
+    rows = [
+        [_cell(value, f"column `{table.columns[place]}` of the table") for place, value in enumerate(row)] for row in table.rows
+    ]
     return _json({"columns": list(table.columns), "rows": rows})
+
+
+def _cell(value: Any, place: str) -> Any:
+    """A number, text or flag as it is kept; nothing where there is no value."""
+    value = value.item() if isinstance(value, np.generic) else value
+    if value is None or value is np.ma.masked or (isinstance(value, float) and np.isnan(value)):
+        return None
+    if isinstance(value, float) and np.isinf(value):
+        raise WrongOutputError(f"{place} has {value}, which no number of a table is; give NaN or a text")
+    is_whole = isinstance(value, int) and not isinstance(value, bool)
+    if is_whole and (not -(2**63) < value < 2**63 or int(float(value)) != value):
+        raise WrongOutputError(f"{place} has {value}, more digits than a number holds; give it as a text")
+    if not isinstance(value, int | float | str | bool):
+        raise WrongOutputError(f"{place} has {value!r}; numbers, texts and flags are kept")
+    return value
 
 
 def _written_files(files: Files) -> bytes:
@@ -282,7 +300,7 @@ def _written_files(files: Files) -> bytes:
 
 def _written_cameras(cameras: Cameras) -> bytes:
     sensors, images = [s.as_dict() for s in cameras.sensors], [i.as_dict() for i in cameras.images]
-    return _json({"frame": str(cameras.frame), "sensors": sensors, "images": images})
+    return _json({"frame": cameras.written_frame(), "sensors": sensors, "images": images})
 
 
 def _written_transform(transform: Transform) -> bytes:
@@ -291,8 +309,57 @@ def _written_transform(transform: Transform) -> bytes:
 
 
 def _written_covariance(covariance: Covariance) -> bytes:
-    value = {"frame": str(covariance.frame), "parameters": covariance.parameters, "matrix": np.asarray(covariance.matrix, float)}
+    value = {
+        "frame": covariance.written_frame(),
+        "parameters": covariance.parameters,
+        "matrix": np.asarray(covariance.matrix, float),
+    }
     return _json({**value, "sigma0_applied": covariance.sigma0_applied, "full_joint": covariance.full_joint})
+
+
+def _written_inventory(inventory: Inventory) -> bytes:
+    """The collection as it is kept: whole columns, MultiPolygons, and the frame of the object."""
+    collection = inventory.geojson
+    features = collection.get("features") if isinstance(collection, Mapping) else None
+    if not isinstance(features, list | tuple):
+        raise WrongOutputError("`geojson` is no feature collection: it has no list `features`")
+    about = collection.get("rockface") or {}
+    properties = [dict(feature.get("properties") or {}) for feature in features]
+    listed = [name for name in about.get("columns", []) if not properties or any(name in own for own in properties)]
+    columns = list(dict.fromkeys([*listed, *(str(name) for own in properties for name in own)]))
+    kept = []
+    for number, (feature, own) in enumerate(zip(features, properties, strict=True)):
+        told = f"feature {number} (counted from 0)"
+        values = {name: _cell(own.get(name), f"`{name}` of {told}") for name in columns}
+        kept.append({"type": "Feature", "properties": values, "geometry": _outline(feature.get("geometry"), told)})
+    frame = _inventory_frame(inventory)
+    return _json({"type": "FeatureCollection", "rockface": {"frame": frame, "columns": columns}, "features": kept})
+
+
+def _outline(geometry: Any, told: str) -> dict[str, Any] | None:
+    """The geometry of a feature as a MultiPolygon in plan; nothing without an outline."""
+    if geometry is None:
+        return None
+    kind = geometry.get("type") if isinstance(geometry, Mapping) else type(geometry).__name__
+    if kind not in ("Polygon", "MultiPolygon"):
+        raise WrongOutputError(f"the geometry of {told} is a {kind}; outlines are a Polygon, a MultiPolygon or nothing")
+    polygons = [geometry["coordinates"]] if kind == "Polygon" else geometry["coordinates"]
+    rings = [[[[float(place[0]), float(place[1])] for place in ring] for ring in polygon] for polygon in polygons]
+    return {"type": "MultiPolygon", "coordinates": rings} if rings else None
+
+
+def _inventory_frame(inventory: Inventory) -> str | dict[str, Any]:
+    """The frame as it is written: of the object, with the system that the collection names where the object names none."""
+    if inventory.georeference is not None:
+        return inventory.written_frame()
+    stated = (inventory.geojson.get("rockface") or {}).get("frame")
+    if isinstance(stated, dict) and stated.get("axes") == str(inventory.frame):
+        return stated
+    named = str(((inventory.geojson.get("crs") or {}).get("properties") or {}).get("name", ""))
+    code = re.fullmatch(r"urn:ogc:def:crs:EPSG:[^:]*:(\d+)", named)
+    if code and inventory.frame is Frame.WORLD:
+        return {"axes": str(inventory.frame), "crs": f"EPSG:{code[1]}"}
+    return str(inventory.frame)
 
 
 WRITERS: dict[str, Callable[[Any], bytes]] = {
@@ -307,7 +374,7 @@ WRITERS: dict[str, Callable[[Any], bytes]] = {
     "transform": _written_transform,
     "covariance": _written_covariance,
     "table": _written_table,
-    "inventory": lambda value: _json(value.geojson),
+    "inventory": _written_inventory,
     "picture": lambda value: bytes(value.png),
     "figure": lambda value: value.svg.encode(),
     "file": lambda value: bytes(value.data),

@@ -160,7 +160,7 @@ class Worker:
                 self.module = imported(self.path)
             function = getattr(self.module, name)
         except BaseException as error:
-            told = f"importing `{self.path.name}` raised {type(error).__name__}: {error}"
+            told = f"importing `{self.path.name}` raised {said(error)}"
             raise FunctionError(told, None, told_frames(error, self.path), retire=True) from error
         if not callable(function) or not hasattr(function, stages.ATTRIBUTE):
             raise FunctionError(f"`{name}` is no stage once `{self.path.name}` is imported: `@rockface.stage` has to come first")
@@ -203,8 +203,7 @@ class Worker:
                 f"it called sys.exit({error.code!r}); a stage returns or raises", None, told_frames(error, self.path)
             ) from error
         except BaseException as error:
-            told = f"{type(error).__name__}: {error}"
-            raise FunctionError(told, None, told_frames(error, self.path)) from error
+            raise FunctionError(said(error), None, told_frames(error, self.path)) from error
         if os.getpid() != self.pid:
             os._exit(0)
         return result
@@ -312,6 +311,14 @@ def children() -> list[int]:
     helper = getattr(getattr(tracker, "_resource_tracker", None), "_pid", None)
     listed = [int(pid) for task in Path("/proc/self/task").iterdir() for pid in (task / "children").read_text().split()]
     return [pid for pid in listed if pid != helper]
+
+
+def said(error: BaseException) -> str:
+    """The type of an exception and what it says, if it can."""
+    try:
+        return f"{type(error).__name__}: {error}"
+    except Exception as fault:
+        return f"{type(error).__name__}, whose text raised {type(fault).__name__}"
 
 
 def told_frames(error: BaseException, module: Path) -> list[str]:

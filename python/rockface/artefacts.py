@@ -114,7 +114,8 @@ def _needed(package: str, purpose: str) -> Any:
     try:
         return importlib.import_module(package)
     except ImportError as error:
-        raise RockfaceError(f"{purpose} needs the package {package}: `pip install {package}`") from error
+        name = package.partition(".")[0]
+        raise RockfaceError(f"{purpose} needs the package {name}: `pip install {name}`") from error
 
 
 def unmasked(values: Any) -> Array:
@@ -161,6 +162,11 @@ class Grid:
         """Left, right, bottom and top, metres: `extent` of `matplotlib.pyplot.imshow`."""
         bottom = self.top_m - self.rows * self.cell_m
         return self.left_m, self.left_m + self.columns * self.cell_m, bottom, self.top_m
+
+    @property
+    def transform(self) -> tuple[float, float, float, float, float, float]:
+        """From column and row to x and y, of upper left corners: `rasterio.Affine(*grid.transform)`."""
+        return self.cell_m, 0.0, self.left_m, 0.0, -self.cell_m, self.top_m
 
 
 @dataclass(frozen=True, eq=False)
@@ -330,7 +336,7 @@ class Image:
 
 
 @dataclass(frozen=True, eq=False)
-class DepthMap:
+class DepthMap(Placed):
     """The depth map of one image: depth along the optical axis, metres, NaN where there is none."""
 
     frame: Frame
@@ -342,6 +348,8 @@ class DepthMap:
     """Depth, rows x columns, metres."""
     channels: dict[str, NDArray[np.float32]] = field(default_factory=dict)
     """Further channels by name, such as `disparity` or `noise.local`; rows x columns."""
+    georeference: Georeference | None = None
+    """Where its frame lies on the Earth, as far as it is known."""
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -373,7 +381,7 @@ class DepthMap:
 
     def __repr__(self) -> str:
         rows, columns = self.shape
-        return f"DepthMap({self.image.name}: {rows} x {columns} pixels; {', '.join(['Z', *self.channels])}; {self.frame} frame)"
+        return f"DepthMap({self.image.name}: {rows} x {columns} pixels; {', '.join(['Z', *self.channels])}; {self._where()})"
 
 
 @dataclass(frozen=True, eq=False)
@@ -496,12 +504,14 @@ class Surface(Placed):
 
 
 @dataclass(frozen=True)
-class Cameras:
+class Cameras(Placed):
     """Sensors and oriented images."""
 
     frame: Frame
     sensors: list[Sensor]
     images: list[Image]
+    georeference: Georeference | None = None
+    """Where their frame lies on the Earth, as far as it is known."""
 
     def __len__(self) -> int:
         return len(self.images)
@@ -576,7 +586,7 @@ class Transform:
 
 
 @dataclass(frozen=True, eq=False)
-class Covariance:
+class Covariance(Placed):
     """Joint covariance of orientation parameters."""
 
     frame: Frame
@@ -587,6 +597,8 @@ class Covariance:
     """Whether the a-posteriori variance factor is in it."""
     full_joint: bool = True
     """Whether it has the correlations between images."""
+    georeference: Georeference | None = None
+    """Where its frame lies on the Earth, as far as it is known."""
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> Array:
         return np.array(self.matrix, dtype=dtype) if copy else np.asarray(self.matrix, dtype=dtype)
@@ -599,13 +611,22 @@ class Table(Sequence[Mapping[str, Cell]]):
     columns: list[str]
     rows: list[list[Cell]]
     units: dict[str, str] = field(default_factory=dict)
-    """Units of columns, where they are known."""
+    """Units of columns, where they are known: those of metrics. The file of a table has none; name the column `volume_m3`."""
 
     @staticmethod
-    def of(records: Sequence[Mapping[str, Any]]) -> Table:
+    def of(records: Sequence[Mapping[Any, Any]]) -> Table:
         """The table of a list of rows; columns in the order they are met."""
         columns = list(dict.fromkeys(name for record in records for name in record))
-        return Table(columns, [[record.get(name) for name in columns] for record in records])
+        return Table(list(map(str, columns)), [[record.get(name) for name in columns] for record in records])
+
+    @staticmethod
+    def from_pandas(data: Any) -> Table:
+        """The table of a `pandas.DataFrame`, without its index; what is missing is an empty cell."""
+        columns = [str(name) for name in data.columns]
+        known = data.notna().to_numpy()
+        cells = [data.iloc[:, place].tolist() for place in range(len(columns))]
+        rows = [[cells[place][row] if known[row, place] else None for place in range(len(columns))] for row in range(len(data))]
+        return Table(columns, rows)
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -664,12 +685,28 @@ def _short(cell: Cell) -> str:
 
 
 @dataclass(frozen=True, eq=False)
-class Inventory:
+class Inventory(Placed):
     """Rockfalls: outline and properties of each."""
 
     frame: Frame
     geojson: dict[str, Any]
     """The whole GeoJSON feature collection; coordinates in metres of the frame."""
+    georeference: Georeference | None = None
+    """Where its frame lies on the Earth, as far as it is known."""
+
+    @staticmethod
+    def from_geopandas(data: Any, frame: Frame = Frame.WALL, georeference: Georeference | None = None) -> Inventory:
+        """The rockfalls of a `geopandas.GeoDataFrame`: polygons with every further column as a property.
+
+        Args:
+            data: coordinates are metres of the frame; of the wall frame it says nothing more.
+            frame: the frame of the coordinates.
+            georeference: where the frame lies on the Earth; of the world frame, by default the system of the data.
+        """
+        if georeference is None and frame is Frame.WORLD and data.crs is not None:
+            code = data.crs.to_epsg()
+            georeference = Georeference(f"EPSG:{code}" if code else data.crs.to_wkt())
+        return Inventory(frame, dict(data.__geo_interface__), georeference)
 
     def table(self) -> Table:
         """The properties, a row a rockfall."""
@@ -678,15 +715,16 @@ class Inventory:
         return Table(columns, rows) if columns else Table.of([f["properties"] for f in self.geojson["features"]])
 
     def to_geopandas(self) -> Any:
-        """A `geopandas.GeoDataFrame`; its coordinates are metres of a local system. Needs geopandas."""
+        """A `geopandas.GeoDataFrame` with the coordinate reference system, where one is known. Needs geopandas."""
         geopandas = _needed("geopandas", "Inventory.to_geopandas")
-        return geopandas.GeoDataFrame.from_features(self.geojson["features"])
+        columns = ["geometry", *self.table().columns]
+        return geopandas.GeoDataFrame.from_features(self.geojson["features"], crs=self.crs, columns=columns)
 
     def __len__(self) -> int:
         return len(self.geojson["features"])
 
     def __repr__(self) -> str:
-        return f"Inventory({len(self)} rockfalls, {self.frame} frame)"
+        return f"Inventory({len(self)} rockfalls, {self._where()})"
 
 
 @dataclass(frozen=True)
@@ -733,6 +771,9 @@ class Files(Mapping[str, bytes]):
 
     def __getitem__(self, name: str) -> bytes:
         return self.files[name]
+
+    def __repr__(self) -> str:
+        return f"Files({', '.join(f'{name}: {len(data)} bytes' for name, data in self.files.items())})"
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.files)

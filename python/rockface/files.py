@@ -52,6 +52,9 @@ KINDS = {
     ".noise": "noise",
     ".svg": "figure", ".geojson": "inventory", ".tar": "files", ".json": "json",
 }  # fmt: skip
+OTHERS = {".csv": "pandas.read_csv", ".parquet": "pandas.read_parquet", ".laz": "laspy.read", ".las": "laspy.read"}
+"""What reads further files, which steps write for other programs."""
+BESIDE = {".csv": "JSON or GeoJSON", ".parquet": "JSON or GeoJSON", ".laz": "PLY", ".las": "PLY"}
 SURFACE = b"rockface surface 1\n"
 NOISE = b"rockface noise 18\n"
 RASTER = b"rockface raster 1\n"
@@ -68,8 +71,10 @@ def read(path: str | Path) -> Artefact:
         FormatError: the file is damaged, or of a kind that is not read here.
     """
     path = Path(path)
-    kind = KINDS.get(path.suffix.lower(), "file")
-    return decode(kind, mapped(path))
+    ending = path.suffix.lower()
+    if ending in OTHERS:
+        raise FormatError(f"{path.name} is read with {OTHERS[ending]}; beside it is the same as {BESIDE[ending]}")
+    return decode(KINDS.get(ending, "file"), mapped(path))
 
 
 def mapped(path: Path) -> memoryview:
@@ -87,7 +92,7 @@ def decode(kind: str, data: memoryview) -> Artefact:
         raise FormatError(f"unknown kind of artefact `{kind}`")
     try:
         return reader(data)
-    except (KeyError, TypeError, ValueError) as error:
+    except (LookupError, ArithmeticError, AttributeError, TypeError, ValueError, MemoryError, tarfile.TarError) as error:
         raise FormatError(f"the bytes are no {kind}: {error!r}") from error
 
 
@@ -109,7 +114,7 @@ def _any_json(data: memoryview) -> Artefact:
 def _cameras(data: memoryview) -> Cameras:
     value = _json(data)
     sensors, images = map(Sensor.of, value["sensors"]), map(Image.of, value["images"])
-    return Cameras(Frame.of(value["frame"]), list(sensors), list(images))
+    return Cameras(Frame.of(value["frame"]), list(sensors), list(images), Georeference.of(value["frame"]))
 
 
 def _transform(data: memoryview) -> Transform:
@@ -121,7 +126,8 @@ def _transform(data: memoryview) -> Transform:
 def _covariance(data: memoryview) -> Covariance:
     value = _json(data)
     matrix = np.array(value["matrix"], float)
-    return Covariance(Frame.of(value["frame"]), value["parameters"], matrix, value["sigma0_applied"], value["full_joint"])
+    told = (value["sigma0_applied"], value["full_joint"], Georeference.of(value["frame"]))
+    return Covariance(Frame.of(value["frame"]), value["parameters"], matrix, *told)
 
 
 def _table(data: memoryview) -> Table:
@@ -131,7 +137,8 @@ def _table(data: memoryview) -> Table:
 
 def _inventory(data: memoryview) -> Inventory:
     value = _json(data)
-    return Inventory(Frame.of(value.get("rockface", {}).get("frame", "wall")), value)
+    frame = value.get("rockface", {}).get("frame", "wall")
+    return Inventory(Frame.of(frame), value, Georeference.of(frame))
 
 
 def _files(data: memoryview) -> Files:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import importlib
 import json
 import signal
@@ -20,6 +21,8 @@ from rockface.runs import Run
 
 __all__ = ["Progress", "run"]
 
+WARNINGS = 10
+"""Warnings that are shown; a run has them all."""
 STOP_S = 30.0
 """Seconds a run is given to stop by itself after an interruption."""
 
@@ -148,11 +151,26 @@ def _silent(event: Mapping[str, Any]) -> None:
 
 
 def _shown() -> Progress:
-    """How progress is shown here: in the cell of a notebook, on a terminal, or not at all."""
+    """How progress is shown here: in the cell of a notebook, on a terminal; elsewhere only what steps warn of."""
     notebook = _notebook()
     if notebook is not None:
         return notebook
-    return _Line(sys.stderr) if sys.stderr.isatty() else _silent
+    return _Line(sys.stderr) if sys.stderr.isatty() else _Warnings(sys.stderr)
+
+
+class _Warnings:
+    """Lines of what steps warn of."""
+
+    def __init__(self, stream: Any) -> None:
+        self.stream, self.count = stream, 0
+
+    def __call__(self, event: Mapping[str, Any]) -> None:
+        if event.get("event") == "warning":
+            self.count += 1
+            if self.count <= WARNINGS:
+                self.stream.write(f"warning: {event['step']}: {event['text']}\n")
+        elif event.get("event") == "closed" and self.count > WARNINGS:
+            self.stream.write(f"warning: {self.count - WARNINGS} more, in the `warnings` of the run\n")
 
 
 def _sentence(event: Mapping[str, Any], begun: float) -> str:
@@ -182,15 +200,22 @@ def _notebook() -> Progress | None:
     """Shows progress in the cell of a Jupyter notebook; `None` where this is none."""
     if "ipykernel" not in sys.modules:
         return None
+    # Also a package that a program imports may bring it along.
+    if importlib.import_module("IPython").get_ipython() is None:
+        return None
     shown: Any = importlib.import_module("IPython.display")
-
     begun, state = time.monotonic(), {"written": 0.0}
+    warned: list[str] = []
     handle = shown.display(shown.HTML(""), display_id=True)
 
     def show(event: Mapping[str, Any]) -> None:
         now = time.monotonic()
-        if event.get("event") == "closed":
-            handle.update(shown.HTML(""))
+        if event.get("event") == "warning":
+            warned.append(f"<div>warning: {html.escape(event['step'])}: {html.escape(event['text'])}</div>")
+        elif event.get("event") == "closed":
+            more = len(warned) - WARNINGS
+            told = "".join(warned[:WARNINGS]) + (f"<div>{more} more, in the warnings of the run</div>" if more > 0 else "")
+            handle.update(shown.HTML(told))
         elif "total" in event and now - state["written"] > 0.2:
             state["written"] = now
             share = f'<progress value="{event["done"]}" max="{max(event["total"], 1)}"></progress> '

@@ -8,7 +8,7 @@ import itertools
 import json
 import re
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -26,6 +26,8 @@ SHOWN = 10
 """Runs that a message names."""
 
 LABEL = re.compile(r"^(?P<step>[^.\[]+)(?P<one>\[[^\]]*\])?(\.(?P<port>[^.\[]+))?(?P<two>\[[^\]]*\])?$")
+NUMBER = re.compile(r"-?(0|[1-9]\d*)(\.\d+)?(e-?\d+)?")
+"""A number as an item has it; `007` and `2024_05` are texts."""
 PICTURES = 3
 """Pictures that the head of a run shows."""
 PICTURE_BYTES = 600_000
@@ -57,6 +59,8 @@ class Step:
     """What it took when it was computed."""
     paths: Mapping[str, str]
     """Files of its outputs by port, relative to the run folder, where they have names there."""
+    warnings: Sequence[str] = ()
+    """What it warned of."""
 
     @property
     def label(self) -> str:
@@ -80,6 +84,7 @@ class Step:
             {port: output["kind"] for port, output in (record.get("outputs") or {}).items()},
             (record.get("cost") or {}).get("wall_s"),
             record.get("paths", {}),
+            record.get("warnings", []),
         )
 
 
@@ -116,7 +121,7 @@ class Outputs(Sequence[Any]):
     def at(self, **items: object) -> Any:
         """The artefact at these items of the axes, or those that are left: `run["dem.raster"].at(epoch="pre")`."""
         wanted = {axis: str(item) for axis, item in items.items()}
-        steps = [step for step in self._steps if wanted.items() <= dict(step.point).items()]
+        steps = _fitting(self._steps, wanted)
         if not steps:
             raise KeyError(f"no {self._steps[0].step}.{self._port} at {wanted}; the first point is {dict(self._steps[0].point)}")
         rest = Outputs(self._run, self._port, steps)
@@ -125,10 +130,12 @@ class Outputs(Sequence[Any]):
     def table(self) -> Table:
         """Tables of all points as one; the items of the axes are the first columns."""
         records = []
+        typed = _typed(self.points)
         for point, value in self.items():
             if not isinstance(value, Table):
                 raise RockfaceError(f"`{self._port}` is a {type(value).__name__}, not a table")
-            records += [{**_items(point), **row} for row in value]
+            items = {axis: typed[axis][item] for axis, item in point.items()}
+            records += [{**items, **row} for row in value]
         return Table.of(records)
 
     def __repr__(self) -> str:
@@ -156,7 +163,7 @@ class Run:
             raise RockfaceError(f"{file} has format {self.manifest.get('format')}; this version reads 1")
         beside = self.folder.parent.parent / "store"
         named = Path(self.manifest.get("store") or beside)
-        self.store = Path(store) if store else named if named.is_absolute() and _is_store(named) else beside
+        self.store = Path(store).resolve() if store else named if named.is_absolute() and _is_store(named) else beside
         """The store of results."""
 
     @cached_property
@@ -178,6 +185,11 @@ class Run:
     def headlines(self) -> list[str]:
         """The results, a line each."""
         return list(self.manifest["headlines"])
+
+    @property
+    def warnings(self) -> list[str]:
+        """What steps warned of, a line each, with the step."""
+        return [f"{step.label}: {text}" for step in self.steps for text in step.warnings]
 
     @property
     def report(self) -> Path:
@@ -205,7 +217,12 @@ class Run:
 
         A step at several points gives `Outputs`, a sequence that reads each when asked for.
         """
-        match = LABEL.match(output.replace(" ", ""))
+        port, fitting = self._select(output)
+        return Outputs(self, port, fitting) if len(fitting) > 1 else self.artefact(fitting[0], port)
+
+    def _select(self, output: str) -> tuple[str, list[Step]]:
+        """The port that a label names, and the step at all points that it fits."""
+        match = LABEL.match(output.strip())
         if match is None:
             raise KeyError(f"`{output}` is no output: write step.port or step.port[axis=item]")
         name, named, picks = self._behind(match)
@@ -214,12 +231,10 @@ class Run:
         port = named or (ports[0] if len(ports) == 1 else "")
         if port not in ports:
             raise KeyError(self._unknown(output, name, ports))
-        fitting = [step for step in steps if picks.items() <= dict(step.point).items()]
+        fitting = _fitting(steps, picks)
         if not fitting:
-            raise KeyError(f"`{output}`: no such point; there are {', '.join(step.label for step in steps[:5])}, …")
-        if len(fitting) > 1:
-            return Outputs(self, port, fitting)
-        return self.artefact(fitting[0], port)
+            raise KeyError(f"`{output}`: no such point; there are {_listed(steps)}")
+        return port, fitting
 
     def _behind(self, match: re.Match[str]) -> tuple[str, str | None, dict[str, str]]:
         """The step, port and items that a label names; of an output of a part that is used, those inside it."""
@@ -245,20 +260,33 @@ class Run:
 
     def path(self, output: str) -> Path:
         """The file of an output at one point, in the run folder."""
-        match = LABEL.match(output)
-        name, named, picks = self._behind(match) if match else ("", None, {})
-        for step in self.steps:
-            if step.step == name and picks.items() <= dict(step.point).items():
-                port = named or next(iter(step.outputs), "")
-                if port in step.paths:
-                    return self.folder / step.paths[port]
-        raise KeyError(f"`{output}` has no name in the run folder: `rockface export`, or run with outputs='all'")
+        port, fitting = self._select(output)
+        if len(fitting) > 1:
+            raise KeyError(f"`{output}` is at {len(fitting)} points, {_listed(fitting)}: name one, step.port[axis=item]")
+        file = self._file(fitting[0], port)
+        if file is None:
+            raise KeyError(f"`{output}` has no name in the run folder: `rockface export`, or run with outputs='all'")
+        return file
+
+    def _file(self, step: Step, port: str) -> Path | None:
+        """The file of an output in the run folder. A manifest may be from anybody: what leads out of the folder is none."""
+        if port not in step.paths:
+            return None
+        file = self.folder / step.paths[port]
+        try:
+            is_inside = not file.is_symlink() and file.resolve(strict=True).is_relative_to(self.folder)
+        except OSError:
+            return None
+        if not is_inside:
+            raise RockfaceError(f"{step.label}.{port} leads out of the run folder: {step.paths[port]}")
+        return file if file.is_file() else None
 
     def artefact(self, step: Step, port: str) -> Artefact:
         """An output of a step instance, from the run folder or else from the store."""
         kind = step.outputs[port]
-        if port in step.paths and (self.folder / step.paths[port]).is_file():
-            return decode(kind, mapped(self.folder / step.paths[port]))
+        file = self._file(step, port)
+        if file is not None:
+            return decode(kind, mapped(file))
         label = f"{step.step}.{port}" + step.label.removeprefix(step.step)
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder) / "output"
@@ -301,14 +329,15 @@ class Run:
             for axis in wanted
         }
         rows: list[list[Any]] = []
+        kinds = _typed([dict(zip(wanted, point, strict=True)) for point in points])
         for point in points:
             items = dict(zip(wanted, point, strict=True))
             known: dict[str, float | None] = {}
             for own, by_items in numbers.items():
                 known.update(by_items.get(tuple(items[axis] for axis in own), {}))
-            typed = _items(items)
             cells = [
-                [typed[axis], *(values.get(axis, {}).get(items[axis], {}).get(name) for name in names[axis])] for axis in wanted
+                [kinds[axis][items[axis]], *(values.get(axis, {}).get(items[axis], {}).get(name) for name in names[axis])]
+                for axis in wanted
             ]
             rows.append([*itertools.chain(*cells), *(known.get(name) for name in units)])
         columns = [[axis, *(f"{axis}.{name}" for name in names[axis])] for axis in wanted]
@@ -319,14 +348,18 @@ class Run:
         return list(dict.fromkeys(axis for step in self.steps for axis in step.point))
 
     def _axes(self) -> tuple[str, ...]:
-        swept = tuple(text.split("=")[0].removeprefix("params.") for text in self.manifest["overrides"].get("sweep", []))
         known = set(self.axes())
+        # The last key of what was swept, or `swept_` before it where a parameter has that name.
+        last = [text.split("=")[0].strip().rpartition(".")[2] for text in self.manifest["overrides"].get("sweep", [])]
+        swept = tuple(dict.fromkeys(f"swept_{name}" if f"swept_{name}" in known else name for name in last))
         if swept and set(swept) <= known:
             return swept
         sets = list(dict.fromkeys(tuple(step.point) for step in self.steps if step.metrics))
         largest = [one for one in sets if not any(set(one) < set(other) for other in sets)]
         if len(largest) == 1:
             return largest[0]
+        if not largest:
+            raise RockfaceError("no step of this run has numbers: `run.outputs()` lists what there is")
         ways = "; ".join(", ".join(map(repr, axes)) for axes in largest)
         raise RockfaceError(
             f"name the axes of the table, such as `run.table({largest[0][0]!r})`: the steps of this run have {ways}"
@@ -354,9 +387,14 @@ class Run:
 
     def _repr_html_(self) -> str:
         count = {status: sum(step.status == status for step in self.steps) for status in ("executed", "cached", "failed")}
+        if self.computed is not None and self.cached is not None:
+            count |= {"executed": self.computed, "cached": self.cached}
         told = ", ".join(f"{number} {status}" for status, number in count.items() if number)
         colour = "#2e7d32" if self.status == "done" else "#c62828"
         lines = "".join(f"<li>{html.escape(line)}</li>" for line in self.headlines)
+        warned = self.warnings
+        lines += "".join(f"<li>warning: {html.escape(text)}</li>" for text in warned[:SHOWN])
+        lines += f"<li>… and {len(warned) - SHOWN} more: <code>run.warnings</code></li>" if len(warned) > SHOWN else ""
         failed = "".join(f"<li><b>{html.escape(s.label)}</b>: {html.escape(s.failure)}</li>" for s in self.steps if s.failure)
         return (
             f'<div style="border-left:4px solid {colour};padding-left:1em">'
@@ -381,19 +419,43 @@ class Run:
 def _picks(text: str) -> dict[str, str]:
     pairs = [pick.split("=", 1) for pick in re.findall(r"[^\[\],]+", text)]
     # Points call an axis of a part by its short name.
-    return {pair[0].rpartition("/")[2]: pair[-1] for pair in pairs}
+    return {pair[0].rpartition("/")[2].strip(): pair[-1].strip() for pair in pairs}
 
 
-def _items(point: Mapping[str, str]) -> dict[str, float | str]:
-    """Items of axes: numbers where they are."""
+def _fitting(steps: Sequence[Step], picks: Mapping[str, str]) -> list[Step]:
+    """The steps at points with these items: as they are written, or else of the same number, as 0.10 is 0.1."""
+    fitting = [step for step in steps if picks.items() <= dict(step.point).items()]
+    if fitting:
+        return fitting
+    wanted = {axis: _number(item) for axis, item in picks.items()}
+    is_same = {
+        axis: lambda item, pick=pick, number=wanted[axis]: item == pick or (number is not None and _number(item) == number)
+        for axis, pick in picks.items()
+    }
+    return [step for step in steps if all(axis in step.point and is_same[axis](step.point[axis]) for axis in picks)]
 
-    def item(text: str) -> float | str:
-        try:
-            return float(text)
-        except ValueError:
-            return text
 
-    return {axis: item(text) for axis, text in point.items()}
+def _listed(steps: Sequence[Step]) -> str:
+    return ", ".join(step.label for step in steps[:5]) + (", …" if len(steps) > 5 else "")
+
+
+def _number(text: str) -> float | None:
+    return float(text) if NUMBER.fullmatch(text) else None
+
+
+def _typed(points: Iterable[Mapping[str, str]]) -> dict[str, dict[str, float | int | str]]:
+    """The items of axes by their text: numbers where all items of an axis are, whole ones where all are; else texts."""
+    axes: dict[str, dict[str, None]] = {}
+    for point in points:
+        for axis, item in point.items():
+            axes.setdefault(axis, {})[item] = None
+
+    def kind(items: Iterable[str]) -> Callable[[str], float | int | str]:
+        if not all(NUMBER.fullmatch(item) for item in items):
+            return str
+        return int if all(item.lstrip("-").isdecimal() for item in items) else float
+
+    return {axis: {item: kind(items)(item) for item in items} for axis, items in axes.items()}
 
 
 def _is_store(folder: Path) -> bool:
@@ -410,41 +472,82 @@ def _readable(folder: Path, store: str | Path | None) -> Run | None:
         return None
 
 
+def _runs_folders(runs: str | Path | None) -> list[Path]:
+    """The folders of runs: the one given, else that of the working folder and those of the folders in it."""
+    if runs:
+        return [Path(runs)]
+    here = Path()
+    own = [here / ".rockface", *sorted(folder / ".rockface" for folder in here.iterdir())]
+    return [folder / "runs" for folder in own if _is_folder(folder / "runs")] or [here / ".rockface/runs"]
+
+
+def _is_folder(path: Path) -> bool:
+    try:
+        return path.is_dir()
+    except OSError:
+        return False
+
+
 def find(run: str | Path = "latest", *, runs: str | Path | None = None, store: str | Path | None = None) -> Run:
-    """Opens a past run.
+    """Opens a past run: the one that `rockface runs show` means by the same name.
 
     Args:
-        run: a run folder, its name, a part of it that fits no other, the name of a pipeline for its last run, or `latest`;
-            `~1` after the last two means the one before.
-        runs: the folder of runs, by default `.rockface/runs` in the working folder.
+        run: a run folder, its name, a part of it that fits no other; a pipeline, by its file or its name, for its last run; or
+            `latest`; `~1` after the last two means the one before.
+        runs: the folder of runs, by default `.rockface/runs` of the working folder, and of the folders in it.
         store: the store of results, by default the one that the run names, or that is beside the folder of runs.
 
     Raises:
         RockfaceError: there is no such run, or several.
     """
-    folder = Path(runs) if runs else Path(".rockface/runs")
-    beside = [Path(run).parent] if Path(run).name == "run.json" else []
-    for path in (folder / run, Path(run), *beside, folder / f"latest-{run}"):
-        if (path / "run.json").is_file():
-            return Run(path, store)
-    entries = folder.iterdir() if folder.is_dir() else []
-    # The links `latest` and `latest-NAME` are further names of runs.
-    names = sorted(path.name for path in entries if not path.is_symlink() and (path / "run.json").is_file())
+    path = Path(run)
+    if path.is_file() and path.name != "run.json":
+        folders = _runs_folders(runs) if runs else [path.parent / ".rockface/runs"]
+        fitting = [one for one in _all(folders, store) if Path(one.manifest["pipeline"]["path"]).name == path.name]
+        if not fitting:
+            raise RockfaceError(f"{path} has no run in {folders[0]}")
+        return fitting[-1]
+    for folder in (path, *([path.parent] if path.name == "run.json" else [])):
+        if (folder / "run.json").is_file():
+            return Run(folder, store)
+    folders = _runs_folders(runs)
     of, _, back = str(run).rpartition("~")
     if of and back.isdecimal():
-        last = find(of, runs=folder, store=store)
-        meant = [one for one in (_readable(folder / name, store) for name in names) if one]
-        before = [one for one in meant if one.folder != last.folder and (of == "latest" or one.name == last.name)]
-        before.sort(key=lambda one: (str(one.manifest["finished"]), one.folder.name))
-        if int(back) > len(before):
-            raise RockfaceError(f"`{of}` has {len(before) + 1} runs here: none is {back} before the last")
-        return [*before, last][-1 - int(back)]
-    fitting = [name for name in names if str(run) in name]
-    if len(fitting) == 1:
-        return Run(folder / fitting[0], store)
+        return _before(of, int(back), folders, runs, store)
+    links = [folder / ("latest" if str(run) == "latest" else f"latest-{run}") for folder in folders]
+    links = [link for link in links if (link / "run.json").is_file()]
+    if links:
+        return Run(max(links, key=lambda link: link.lstat().st_mtime), store)
+    names = sorted({(one.folder.name, one.folder) for one in _all(folders, store)})
+    meant = [pair for pair in names if pair[0] == str(run)] or [pair for pair in names if str(run) in pair[0]]
+    if len(meant) == 1:
+        return Run(meant[0][1], store)
 
     def listed(names: list[str]) -> str:
         return ", ".join(names[-SHOWN:]) + (f" and {len(names) - SHOWN} earlier ones" if len(names) > SHOWN else "")
 
-    told = f"fits {listed(fitting)}" if fitting else f"is no run in {folder}; there are {listed(names) or 'none'}"
+    told = (
+        f"fits {listed([name for name, _ in meant])}"
+        if meant
+        else f"is no run in {folders[0]}; there are {listed([name for name, _ in names]) or 'none'}"
+    )
     raise RockfaceError(f"`{run}` {told}")
+
+
+def _all(folders: Sequence[Path], store: str | Path | None) -> list[Run]:
+    """All runs of some folders, oldest first; what cannot be read is left out."""
+    # The links `latest` and `latest-NAME` are further names of runs.
+    entries = [path for folder in folders if folder.is_dir() for path in folder.iterdir() if not path.is_symlink()]
+    known = [one for one in (_readable(path, store) for path in entries if (path / "run.json").is_file()) if one]
+    return sorted(known, key=lambda one: (str(one.manifest["finished"]), one.folder.name))
+
+
+def _before(of: str, back: int, folders: Sequence[Path], runs: str | Path | None, store: str | Path | None) -> Run:
+    """The run so many before the last one of a pipeline, or of all."""
+    last = find(of, runs=runs, store=store)
+    # A pipeline named by its file has its runs beside it.
+    around = folders if of == "latest" or last.folder.parent in [folder.resolve() for folder in folders] else [last.folder.parent]
+    before = [one for one in _all(around, store) if one.folder != last.folder and (of == "latest" or one.name == last.name)]
+    if back > len(before):
+        raise RockfaceError(f"`{of}` has {len(before) + 1} runs here: none is {back} before the last")
+    return [*before, last][-1 - back]

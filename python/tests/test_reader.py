@@ -141,3 +141,60 @@ def test_a_damaged_file_is_refused_and_never_crashes(small, output):
     for length in range(0, len(whole), max(1, len(whole) // 200)):
         with pytest.raises(rockface.FormatError):
             decode(kind, memoryview(whole[:length]))
+
+
+def foreign(path, values, **more):
+    rasterio = pytest.importorskip("rasterio")
+    transform = rasterio.transform.from_origin(500_000, 6_000_000, 0.5, 0.5)
+    options = {"crs": "EPSG:28356", "transform": transform, **more}
+    with rasterio.open(path, "w", "GTiff", values.shape[1], values.shape[0], 1, dtype=values.dtype, **options) as file:
+        file.write(values, 1)
+        if "scales" in more:
+            file.scales = more["scales"]
+    return path
+
+
+def test_a_foreign_raster_is_metres_or_refused(tmp_path):
+    numbers = np.array([[-9999, 5], [7, 8]], np.int16)
+    raster = rockface.read(foreign(tmp_path / "i.tif", numbers, nodata=-9999))
+    assert np.isnan(raster.values[0, 0])
+    assert (raster.values[1, 1], raster.crs, raster.grid.transform) == (8, "EPSG:28356", (0.5, 0, 500_000, 0, -0.5, 6_000_000))
+    for name, more, told in [
+        ("degrees", {"crs": "EPSG:4326"}, "degrees"),
+        ("feet", {"crs": "EPSG:2229"}, "not in metres"),
+        ("scale", {"scales": (0.001,)}, "scale"),
+    ]:
+        with pytest.raises(rockface.FormatError, match=told):
+            rockface.read(foreign(tmp_path / f"{name}.tif", numbers, **more))
+
+
+def test_a_count_that_no_file_can_hold_costs_nothing(tmp_path, small):
+    data = bytearray(small.path("change.raster[sigma_px=0.4]").read_bytes())
+    start = int.from_bytes(data[4:8], "little")
+    count = int.from_bytes(data[start : start + 2], "little")
+    for entry in range(count):
+        place = start + 2 + 12 * entry
+        changed = data.copy()
+        changed[place + 4 : place + 8] = b"\xff\xff\xff\xff"
+        (tmp_path / "big.tif").write_bytes(changed)
+        with pytest.raises(rockface.FormatError):
+            rockface.read(tmp_path / "big.tif")
+    for name in ("t.csv", "c.laz"):
+        (tmp_path / name).write_bytes(b"")
+        with pytest.raises(rockface.FormatError, match="is read with"):
+            rockface.read(tmp_path / name)
+
+
+def test_what_lies_in_the_world_says_where(small):
+    frame = {"axes": "world", "crs": "EPSG:28356+5711"}
+    from rockface._exchange import decode, write
+
+    place = rockface.Georeference("EPSG:28356+5711")
+    import dataclasses
+
+    for output in ("survey.cameras", "rockfall.truth", "left.depth", "errors.covariance"):
+        moved = dataclasses.replace(small[output], frame=rockface.Frame.WORLD, georeference=place)
+        kind = next(step.outputs[output.split(".")[1]] for step in small.steps if step.step == output.split(".")[0])
+        back = decode(kind, memoryview(write(kind, moved)))
+        assert back.written_frame() == frame
+        assert back.crs == "EPSG:28356+5711"

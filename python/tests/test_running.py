@@ -191,3 +191,95 @@ def test_axes_have_to_be_named_where_several_are_possible(small):
         small.table("epok")
     assert list(small.table("sigma_px")["sigma_px"]) == [0.4, 0.8]
     assert len(small.table("epoch", "sigma_px")) == 4
+
+
+def test_items_are_numbers_only_where_all_of_their_axis_are(folder):
+    text = """
+rockface: 1
+name: items
+axes:
+  day: {items: ["2024_05", "007", "nan", "Nobbys Head", "1e3"]}
+  trial: {count: 2}
+  cell_m: {values: [0.1, 0.25]}
+steps:
+  face: {stage: synthesise-face, over: [day, trial], with: {width_m: 2, height_m: 2, spacing_m: 0.2}}
+  dem: {stage: rasterise-dem, with: {cell_m: "${cell_m}", method: tin}, in: {surface: face.mesh}}
+"""
+    (folder / "items.yaml").write_text(text)
+    run = rockface.run("items.yaml", progress=False)
+    table = run.table("day", "trial", "cell_m")
+    assert set(table["day"]) == {"2024_05", "007", "nan", "Nobbys Head", "1e3"}
+    row = table[3]
+    assert (row["trial"], row["cell_m"]) == (1, 0.25)
+    for row in table:
+        picked = run[f"dem.raster[day={row['day']}, trial={row['trial']}, cell_m={row['cell_m']}]"]
+        assert picked.grid.cell_m == row["cell_m"]
+    # As a column of floats gives them.
+    assert run["dem.raster[day=007,trial=1.0,cell_m=0.250]"].grid.cell_m == 0.25
+    assert run["face.mesh[day=Nobbys Head,trial=0]"].frame == rockface.Frame.WALL
+    with pytest.raises(KeyError, match="name one"):
+        run.path("face.mesh[day=007]")
+
+
+def test_the_axes_of_a_swept_value_of_a_step_are_known(folder, pipeline):
+    run = rockface.run(pipeline, sweep={"steps.face.with.relief_m": [0.1, 0.2]}, progress=False)
+    assert run.table().columns[0] == "swept_relief_m"
+    assert len(run.table()) == 2
+
+
+def test_warnings_are_in_the_run_and_shown(folder, capsys):
+    text = """
+rockface: 1
+name: warned
+steps:
+  face: {stage: synthesise-face, with: {width_m: 4, height_m: 3, spacing_m: 0.1}}
+  dem: {stage: rasterise-dem, with: {cell_m: 0.02}, in: {surface: face.mesh}}
+"""
+    (folder / "warned.yaml").write_text(text)
+    run = rockface.run("warned.yaml")
+    assert len(run.warnings) == 1
+    assert run.warnings[0].startswith("dem: ")
+    assert "warning: dem: " in capsys.readouterr().err
+    assert "warning: dem: " in run._repr_html_()
+    assert rockface.open("latest").warnings == run.warnings
+
+
+def test_runs_beside_pipelines_in_folders_are_found(folder, monkeypatch):
+    (folder / "sub").mkdir()
+    for place in ("mein Lauf.yaml", "sub/mein Lauf.yaml"):
+        (folder / place).write_text("{rockface: 1, name: b, steps: {face: {stage: synthesise-face, with: {spacing_m: 0.5}}}}")
+    first = rockface.run("mein Lauf.yaml", progress=False)
+    time.sleep(0.05)
+    second = rockface.run("sub/mein Lauf.yaml", seed=3, store="st", progress=False)
+    assert rockface.open("latest").folder == rockface.open("b").folder == second.folder
+    assert rockface.open("sub/mein Lauf.yaml").folder == second.folder
+    assert rockface.open("mein Lauf.yaml").folder == first.folder
+    assert rockface.open("latest~1").folder == first.folder
+    none = rockface.run("mein Lauf.yaml", outputs="none", store="st", runs="ru", seed=4, progress=False)
+    monkeypatch.chdir(folder / "sub")
+    assert len(none["face.mesh"].vertices) > 0
+
+
+def test_an_error_comes_out_of_a_pool_as_it_was():
+    import pickle
+
+    failures = [rockface.StepFailure("own", "python", "it broke", "mend it")]
+    back = pickle.loads(pickle.dumps(rockface.StepError(failures)))
+    assert (str(back), back.failures) == (str(rockface.StepError(failures)), failures)
+
+
+def test_a_manifest_of_a_stranger_shows_no_file_of_mine(folder, small):
+    import json
+    import shutil
+
+    run = folder / "runs" / "got"
+    shutil.copytree(small.folder, run)
+    (folder / "secret").write_text("key")
+    manifest = json.loads((run / "run.json").read_text())
+    step = next(step for step in manifest["steps"] if step["step"] == "picture")
+    (run / "link.png").symlink_to(folder / "secret")
+    for path in (str(folder / "secret"), "../../secret", "link.png"):
+        step["paths"] = {"picture": path}
+        (run / "run.json").write_text(json.dumps(manifest))
+        with pytest.raises(rockface.RockfaceError, match="leads out of the run folder"):
+            rockface.Run(run)[f"picture.picture[sigma_px={step['point']['sigma_px']}]"]

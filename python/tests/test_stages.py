@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import rockface
-from rockface import _program
+from rockface import _exchange, _program
 
 PIPELINE = """
 rockface: 1
@@ -526,3 +526,81 @@ def test_a_target_and_a_swept_value_may_stand_alone(bench):
     """)
     run = bench.run(targets="dem", sweep={"steps.dem.with.cell_m": 0.2})
     assert rockface.open("own").folder == run.folder
+
+
+RING = [[0.2, 0.2], [0.6, 0.2], [0.6, 0.5], [0.2, 0.2]]
+
+
+def inventory_of(bench, body):
+    """The inventory that a function without inputs makes."""
+    text = """
+rockface: 1
+name: made
+steps:
+  own: {{stage: python, with: {{module: own.py, function: own}}}}
+"""
+    bench.pipeline(text=text)
+    bench.module(f"""
+        RING = {RING}
+
+        @rockface.stage(output="found")
+        def own() -> rockface.Inventory:
+            {body}
+    """)
+    return bench.run()["own"]
+
+
+def test_an_inventory_is_kept_as_people_make_it(bench):
+    polygon = '{"type": "Feature", "properties": PROPERTIES, "geometry": {"type": "Polygon", "coordinates": [RING]}}'
+    features = ", ".join(polygon.replace("PROPERTIES", own) for own in ("{}", repr({"volume_m3": 0.5, "is_big": True})))
+    crs = '"crs": {"type": "name", "properties": {"name": "urn:ogc:def:crs:EPSG::28356"}}'
+    made = inventory_of(bench, f'return rockface.Inventory(rockface.Frame.WORLD, {{{crs}, "features": [{features}]}})')
+    assert (made.frame, made.crs) == (rockface.Frame.WORLD, "EPSG:28356")
+    assert made.table().columns == ["volume_m3", "is_big"]
+    assert made.table().rows == [[None, None], [0.5, True]]
+    assert made.geojson["features"][0]["geometry"] == {"type": "MultiPolygon", "coordinates": [[RING]]}
+    # The frame is that of the object, not that of the collection it was made from.
+    both = '"rockface": {"frame": {"axes": "world", "crs": "EPSG:28356"}, "columns": []}'
+    made = inventory_of(bench, f'return rockface.Inventory(rockface.Frame.WALL, {{{both}, "features": []}})')
+    assert (made.frame, made.crs) == (rockface.Frame.WALL, None)
+
+
+def test_an_inventory_goes_through_geopandas(bench):
+    geopandas = pytest.importorskip("geopandas")
+    shape = pytest.importorskip("shapely.geometry").Polygon(RING)
+    data = geopandas.GeoDataFrame({"volume_m3": [0.5], "geometry": [shape]}, crs="EPSG:28356")
+    made = rockface.Inventory.from_geopandas(data, rockface.Frame.WORLD)
+    assert made.crs == "EPSG:28356"
+    back = _exchange.decode("inventory", memoryview(_exchange.write("inventory", made))).to_geopandas()
+    assert back.crs.to_epsg() == 28356
+    assert (back.volume_m3[0], back.geometry[0].area) == (0.5, shape.area)
+
+
+@pytest.mark.parametrize(
+    ("value", "told"),
+    [
+        ("rockface.Cloud(WALL, np.zeros((2, 3)), numbers={'x': np.arange(2)})", "`x` cannot name a number"),
+        ("rockface.Cloud(WALL, np.zeros((2, 3)), numbers={'my label': np.arange(2)})", "`my label` cannot name a number"),
+        ("dataclasses.replace(depth, z=depth.z[8:], channels={})", "the sensor with downscale 1 has (350, 450)"),
+        ("dataclasses.replace(depth, z=depth.z[::2, ::2], channels={})", "set pixels that are not wanted to NaN"),
+        ("rockface.Inventory(WALL, {'features': [{'properties': {'a': [1]}, 'geometry': None}]})", "`a` of feature 0"),
+        ("rockface.Inventory(WALL, {'features': [{'geometry': {'type': 'Point'}}]})", "the geometry of feature 0"),
+        ("rockface.Inventory(WALL, {'type': 'Feature'})", "no feature collection"),
+    ],
+)
+def test_values_that_lie_about_their_place_are_refused(small, value, told):
+    import dataclasses
+
+    names = {"np": np, "rockface": rockface, "WALL": rockface.Frame.WALL, "dataclasses": dataclasses, "depth": small["left.depth"]}
+    made = eval(value, names)
+    kind = next(kind for kind, own in _exchange.KINDS.items() if own is type(made))
+    with pytest.raises(_exchange.WrongOutputError) as caught:
+        _exchange.write(kind, made)
+    assert told in str(caught.value)
+
+
+def test_a_mesh_without_triangles_stays_one():
+    from rockface._exchange import decode, write
+
+    empty = rockface.Mesh(rockface.Frame.WALL, np.zeros((2, 3)), np.zeros((0, 3), np.uint32))
+    assert len(decode("mesh", memoryview(write("mesh", empty))).triangles) == 0

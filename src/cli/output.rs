@@ -28,5 +28,15 @@ pub fn fault() -> Option<io::Error> {
 
 /// Writes a line to standard error. Where that cannot be written there is nobody left to tell.
 pub fn complain(text: &str) {
+    complain_in_colour(&rockface_engine::watch::printable(text));
+}
+
+/// The same for what is written for a terminal already, with colours.
+pub fn complain_in_colour(text: &str) {
     let _ = writeln!(io::stderr(), "{text}");
+}
+
+/// Whether no colours are wanted. See <https://no-color.org>: any text but an empty one.
+pub fn is_plain() -> bool {
+    std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty())
 }

@@ -25,10 +25,25 @@ impl PipelineArgs {
         let former = manifest(&self.pipeline)?;
         if let Some(former) = &former {
             let copied = former.copied_inputs(&self.pipeline);
+            let is_copy = copied.is_some();
             take_over(self, former, copied);
+            if is_copy {
+                check_own_folder(&self.pipeline)?;
+            }
         }
         Ok(former)
     }
+}
+
+/// Refuses an extracted archive that has a link where the folder of its pipeline is to be made: results would go where that leads.
+fn check_own_folder(pipeline: &Path) -> Result<(), CliError> {
+    let own = super::beside(pipeline);
+    let places = [own.clone(), own.join("runs"), own.join("store")];
+    let Some(link) = places.iter().find(|place| place.is_symlink()) else { return Ok(()) };
+    let link = link.display();
+    Err(CliError::Usage(format!(
+        "{link}, which came with the archive, is a link: remove it, or extract the archive anew"
+    )))
 }
 
 /// Turns arguments that name a manifest into those of its run; what is given besides comes on top. Where an extracted archive

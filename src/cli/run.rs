@@ -4,6 +4,7 @@ use std::io::IsTerminal;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
+use std::time::{Duration, Instant};
 
 use clap::Args;
 use rockface_core::Registry;
@@ -19,7 +20,7 @@ use crate::report::Pages;
 use rockface_engine::history::REPORT_FILE;
 use rockface_engine::run::shortcut::{self, Ended, Told};
 use rockface_engine::run::{self, Finished, LayOut, Options, RunFolder, Summary};
-use rockface_engine::watch::{JsonLines, Observer, Plain, Reported, Role, Silent, Terminal, duration};
+use rockface_engine::watch::{Event, JsonLines, Observer, Plain, Progress, Reported, Role, Terminal, duration};
 
 /// Files of the result that are named at the end.
 const FILES_NAMED: usize = 5;
@@ -250,7 +251,7 @@ impl RunArgs {
 
 /// Tells of warnings and failures only.
 pub fn quiet_observer() -> Box<dyn Observer> {
-    Box::new(Quiet(Plain::new(std::io::stderr(), false)))
+    Box::new(Quiet { plain: Plain::new(std::io::stderr(), false), waiting: None })
 }
 
 /// Waits until all is uploaded; says whether it was.
@@ -272,19 +273,36 @@ fn say_some<T>(items: &[T], count: usize, line: impl Fn(&T) -> String) {
     }
 }
 
-/// Reports warnings and failures only.
-struct Quiet<W: std::io::Write>(Plain<W>);
+/// How long nothing happens before it is said what others are waited for.
+const WAITED: Duration = Duration::from_secs(10);
+
+/// Reports warnings and failures, and what others are waited for where that takes long.
+struct Quiet<W: std::io::Write> {
+    plain: Plain<W>,
+    /// The first step that is waited for since anything else has happened, and when that was.
+    waiting: Option<(Event, Instant)>,
+}
 
 impl<W: std::io::Write> Observer for Quiet<W> {
     fn ignores_cached(&self) -> bool {
         true
     }
 
-    fn event(&mut self, event: &rockface_engine::watch::Event, progress: rockface_engine::watch::Progress) {
-        use rockface_engine::watch::Event;
+    fn event(&mut self, event: &Event, progress: Progress) {
         match event {
-            Event::Warning { .. } | Event::Failed { .. } => self.0.event(event, progress),
-            _ => Silent.event(event, progress),
+            Event::Waiting { .. } if self.waiting.is_some() => return,
+            Event::Waiting { .. } => self.waiting = Some((event.clone(), Instant::now())),
+            Event::Elsewhere { .. } => {}
+            _ => self.waiting = None,
+        }
+        if matches!(event, Event::Warning { .. } | Event::Failed { .. }) {
+            self.plain.event(event, progress);
+        }
+    }
+
+    fn idle(&mut self, progress: Progress) {
+        if let Some((event, _)) = self.waiting.take_if(|(_, since)| since.elapsed() > WAITED) {
+            self.plain.event(&event, progress);
         }
     }
 }

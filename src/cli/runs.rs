@@ -173,6 +173,11 @@ fn show(run: &PastRun, as_json: bool) -> Result<(), CliError> {
     if beyond > 0 {
         say(&format!("failed    {beyond} more: run.json has them"));
     }
+    manifest.warnings().take(NAMED).for_each(|(label, text)| say(&format!("warning   {label}: {text}")));
+    let beyond = manifest.warnings().count().saturating_sub(NAMED);
+    if beyond > 0 {
+        say(&format!("warning   {beyond} more: run.json and the report have them"));
+    }
     manifest.headlines.iter().for_each(|line| say(line));
     let told = manifest.steps.iter().flat_map(|done| done.metrics.iter().map(move |metric| (done.label(), metric)));
     let rows: Vec<Vec<String>> = told

@@ -219,7 +219,8 @@ fn damaged_rasters() {
 
 fn depth() -> rockface_core::artefact::Depth {
     let image = image_at("left", [0.0; 3], [0.0; 3]);
-    let (sensor, z) = (small_sensor(), (0..12u8).map(f32::from).collect());
+    let sensor = rockface_core::artefact::Sensor { width_px: 60, height_px: 45, ..small_sensor() };
+    let z = (0..12u8).map(f32::from).collect();
     let channels = [("disparity".to_owned(), vec![1.5; 12])].into();
     rockface_core::artefact::Depth {
         frame: Frame::Wall,

@@ -144,6 +144,14 @@ steps:
         std::fs::remove_dir_all(house.path(folder)).unwrap();
     }
     let elsewhere = extracted(&files);
+    // Where the archive has a link, results would go where that leads.
+    let (own, home) = (elsewhere.path("inputs/site/pipelines/.rockface"), elsewhere.path("home"));
+    std::fs::create_dir(&home).unwrap();
+    std::os::unix::fs::symlink(&home, &own).unwrap();
+    let (code, _, err) = elsewhere.rockface(&["run", "run.json"]);
+    assert!(code == Some(2) && err.contains(".rockface, which came with the archive, is a link"), "{code:?} {err}");
+    assert_eq!(std::fs::read_dir(&home).unwrap().count(), 0);
+    std::fs::remove_file(&own).unwrap();
     let (code, out, err) = elsewhere.rockface(&["run", "run.json"]);
     assert!(code == Some(0) && out.contains("all 3 outputs are the same: 3 steps were computed again"), "{out}{err}");
     // So is the repetition, an archive of it too, and the pipeline runs by its file where it names its files relative to itself.

@@ -361,3 +361,15 @@ fn no_program_is_started_by_a_part_nor_to_look_at_a_pipeline() {
         assert!(is_refused, "{arguments:?}: {err}");
     }
 }
+
+#[test]
+fn a_file_called_latest_stays() {
+    let house = House::new(SMALL);
+    let runs = house.path("elsewhere");
+    fs::create_dir(&runs).unwrap();
+    fs::write(runs.join("latest"), "my notes").unwrap();
+    let (code, _, told) = house.rockface(&["run", "p.yaml", "--runs", "elsewhere", "-q"]);
+    assert_eq!(code, Some(3), "{told}");
+    assert!(told.contains("latest") && told.contains("stays as it is"), "{told}");
+    assert_eq!(fs::read_to_string(runs.join("latest")).unwrap(), "my notes");
+}

@@ -47,33 +47,66 @@ impl Store {
         }
         let claimed = self.journal().claim_all(|segment| self.machine().may_be_written_elsewhere(segment))?;
         let busy_segments = claimed.busy();
-        let (left, named) = self.leave_segments(plan, claimed)?;
+        let mut large = 0;
+        let (left, named) = match self.leave_segments(plan, &claimed) {
+            Err(StoreError::DiskFull { .. }) => {
+                large = self.make_room(plan, &claimed)?;
+                self.leave_segments(plan, &claimed)?
+            }
+            left => left?,
+        };
+        drop(claimed);
         // Records first: none may name a blob that has left.
-        let mut blobs = left.blobs.keys().filter(|digest| !self.is_small(digest)).count() as u64;
-        for item in plan.blobs.iter().filter(|item| !named.contains(&item.digest)) {
-            blobs += u64::from(self.blobs().remove(&item.digest, plan.since_s)?);
-        }
+        let small = left.blobs.keys().filter(|digest| !self.is_small(digest)).count() as u64;
+        large += self.remove_blobs(plan, &named)?;
+        let blobs = small + large;
         let records = left.records.keys().filter(|key| !self.has_record(key)).count() as u64;
         let spared_records = plan.records.len() as u64 - records;
         let bytes = before.saturating_sub(self.disk_bytes()?);
         Ok(Collected { blobs, records, bytes, busy_segments, spared_records })
     }
 
-    /// Writes the claimed segments anew without what leaves; returns that, and the blobs that records which stay name.
-    fn leave_segments(&self, plan: &GcPlan, claimed: Claimed) -> Result<(Leaving, BTreeSet<Digest>), StoreError> {
+    /// Removes the large blobs of a plan but for those that are `named`; returns how many.
+    fn remove_blobs(&self, plan: &GcPlan, named: &BTreeSet<Digest>) -> Result<u64, StoreError> {
+        let mut removed = 0;
+        for item in plan.blobs.iter().filter(|item| !named.contains(&item.digest)) {
+            removed += u64::from(self.blobs().remove(&item.digest, plan.since_s)?);
+        }
+        Ok(removed)
+    }
+
+    /// Removes large blobs before the records that name them, on a disk with no room for segments that are written anew. A record whose
+    /// blob is missing is recomputed where it is needed, and these are about to leave.
+    fn make_room(&self, plan: &GcPlan, claimed: &Claimed) -> Result<u64, StoreError> {
+        let mut leaving = self.claimed_leaving(plan, claimed)?;
+        let _gate = self.gate()?;
+        self.refresh()?;
+        self.spare_used(plan, &mut leaving)?;
+        let named = self.spare_named(&mut leaving);
+        self.remove_blobs(plan, &named)
+    }
+
+    /// What is to leave of the claimed segments.
+    fn claimed_leaving(&self, plan: &GcPlan, claimed: &Claimed) -> Result<Leaving, StoreError> {
         let mut leaving = plan.leaving.clone();
-        let busy = self.journal().busy_records(&claimed)?;
+        let busy = self.journal().busy_records(claimed)?;
         leaving.records.retain(|key, _| !busy.contains(key));
+        Ok(leaving)
+    }
+
+    /// Writes the claimed segments anew without what leaves; returns that, and the blobs that records which stay name.
+    fn leave_segments(&self, plan: &GcPlan, claimed: &Claimed) -> Result<(Leaving, BTreeSet<Digest>), StoreError> {
+        let mut leaving = self.claimed_leaving(plan, claimed)?;
         self.spare_used(plan, &mut leaving)?;
         let mut named = self.spare_named(&mut leaving);
-        self.journal().copy_all(&claimed, |header| !leaving.has(header))?;
+        self.journal().copy_all(claimed, |header| !leaving.has(header))?;
         let _gate = self.gate()?;
         self.refresh()?;
         let first = leaving.clone();
         self.spare_used(plan, &mut leaving)?;
         if leaving != first {
             named = self.spare_named(&mut leaving);
-            self.journal().copy_all(&claimed, |header| first.has(header) && !leaving.has(header))?;
+            self.journal().copy_all(claimed, |header| first.has(header) && !leaving.has(header))?;
         }
         self.journal().remove(claimed)?;
         Ok((leaving, named))

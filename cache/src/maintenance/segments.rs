@@ -135,7 +135,7 @@ impl Store {
         let claimed = self.journal().claim_all(|segment| self.machine().may_be_written_elsewhere(segment))?;
         let busy = claimed.busy();
         self.journal().copy_all(&claimed, |_| true)?;
-        self.journal().remove(claimed)?;
+        self.journal().remove(&claimed)?;
         Ok(busy)
     }
 }

@@ -7,10 +7,11 @@
 //! | answers: the result of a former command and the state of all it rests on | `answers/` | [`Memory::remember_answer`] |
 //! | trees: long texts, parsed | `trees/` | the engine, in the folder [`trees`] |
 //!
-//! The store does not interpret any of this. Answers and trees decide which steps run, so they are read only from files that
-//! this user wrote: [`read_own`].
+//! The store does not interpret any of this. Answers and trees decide which steps run, so they are believed only where they bear the
+//! [`mark`] of this user: whoever may write to a shared store, or gives a store away, can put any file into it.
 
 mod looks;
+mod mark;
 mod memo;
 
 use std::path::{Path, PathBuf};
@@ -22,6 +23,7 @@ use crate::frame::Kind;
 use crate::{Digest, Store, plain};
 
 pub use looks::{Seen, State};
+pub use mark::mark;
 pub use memo::{Grounds, recall};
 
 /// The folder of parsed texts.
@@ -80,21 +82,15 @@ pub fn trees(dir: &Path) -> PathBuf {
     dir.join(TREES)
 }
 
-/// The bytes of a plain file that belongs to the user of this process; `None` otherwise.
-///
-/// Whoever may write to a shared store can put files into it. What decides more than a result, such as the steps that run,
-/// is taken only from files this user has written.
-pub fn read_own(path: &Path) -> Option<Vec<u8>> {
-    let mut file = plain::open(path).ok()?;
-    let is_own = std::os::unix::fs::MetadataExt::uid(&file.metadata().ok()?) == rustix::process::geteuid().as_raw();
+/// The bytes of a plain file: no link is followed, and no pipe waited for.
+pub fn read_plain(path: &Path) -> Option<Vec<u8>> {
     let mut bytes = Vec::new();
-    is_own.then(|| std::io::Read::read_to_end(&mut file, &mut bytes).ok().map(|_| bytes)).flatten()
+    std::io::Read::read_to_end(&mut plain::open(path).ok()?, &mut bytes).ok().map(|_| bytes)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::fs;
 
     #[test]
     fn a_note_beside_a_record_is_there_for_the_next_process_and_is_no_file() {
@@ -110,19 +106,5 @@ mod tests {
         drop(store);
         let store = Store::open(&dir).unwrap();
         assert_eq!((store.memory().annotation(&key), store.remembered(&key)), (Some("second".into()), None));
-    }
-
-    #[test]
-    fn only_what_this_user_wrote_is_own() {
-        let folder = tempfile::tempdir().unwrap();
-        let (own, link) = (folder.path().join("own"), folder.path().join("link"));
-        fs::write(&own, "mine").unwrap();
-        std::os::unix::fs::symlink(&own, &link).unwrap();
-        assert_eq!(read_own(&own).as_deref(), Some(b"mine".as_slice()));
-        assert_eq!((read_own(&link), read_own(&folder.path().join("none"))), (None, None));
-        let foreign = Path::new("/proc/1/cmdline");
-        let is_foreign = fs::metadata(foreign)
-            .is_ok_and(|meta| std::os::unix::fs::MetadataExt::uid(&meta) != rustix::process::geteuid().as_raw());
-        assert!(!is_foreign || read_own(foreign).is_none());
     }
 }

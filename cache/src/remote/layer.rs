@@ -107,9 +107,9 @@ impl Store {
         fault.into_inner().unwrap_or_else(PoisonError::into_inner).map_or(Ok(()), Err)
     }
 
-    /// Offers a record that is here to the remote place.
+    /// Offers a record that is here to the remote place; where that is left alone by now, it counts as one that was not uploaded.
     pub(crate) fn offer(&self, key: &Digest, payload: &[u8]) {
-        let Some(remote) = self.below() else { return };
+        let Some(remote) = self.remote() else { return };
         let uploader = remote.uploader.lock().unwrap_or_else(PoisonError::into_inner);
         let Some(uploader) = uploader.as_ref() else { return };
         let is_there = remote.shared.read(|contents| {

@@ -160,6 +160,10 @@ impl Drop for Uploader {
 /// The name of the batch.
 fn upload_all(shared: &Shared, read: &ReadBlob, records: &[(Digest, Box<[u8]>)], queue: &Queue) -> Option<Digest> {
     let count = records.len() as u64;
+    if shared.breaker.is_off() {
+        queue.state().done.failed += count;
+        return None;
+    }
     let mut result = Err(BackendError::Missing);
     for _ in 0..ATTEMPTS {
         if queue.is_abandoned.load(Relaxed) {

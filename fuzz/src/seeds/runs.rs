@@ -92,6 +92,7 @@ fn done(step: &str, status: &'static str, failure: Option<String>) -> StepDone {
         cost: Some(Cost { wall_s: 0.5, cpu_s: 0.75, peak_bytes: 1 << 20, finished_unix_s: 1_700_000_000 }),
         parameters: json!({"width_m": 4.0, "file": {"blake3": Digest::of(b"file")}}).into(),
         metrics: vec![Metric { name: "area_m2".into(), value: Some(12.0), unit: "m2".into() }],
+        warnings: vec!["a gap".into()],
         files: vec![FileUsed { path: "/site/face.ply".into(), blake3: Digest::of(b"file") }],
         inputs: BTreeMap::from([
             ("mesh".to_owned(), RecipeInput::One(Digest::of(b"mesh"))),

@@ -85,14 +85,15 @@ pub fn long_text() -> String {
     text
 }
 
-/// The tree of [`long_text`], with the right checksums.
+/// The tree of [`long_text`], with the mark of this user.
 pub fn tree(bytes: &[u8]) -> Verdict {
     static TEXT: OnceLock<String> = OnceLock::new();
     let Some(place) = place() else { return Verdict::Refused };
     let text = TEXT.get_or_init(long_text);
     let (path, trees) = (place.folder.path().join("long.yaml"), place.folder.path().join("trees"));
     let digest = Digest::of(text.as_bytes());
-    let mut file = format!("rockface tree 1 {digest} {}\n", Digest::of(bytes)).into_bytes();
+    let Some(mark) = rockface_cache::mark(&[b"tree", digest.as_bytes(), bytes]) else { return Verdict::Refused };
+    let mut file = format!("rockface tree 2 {digest} {mark}\n").into_bytes();
     file.extend_from_slice(bytes);
     let slot = trees.join(&digest.to_string()[..1]);
     let put = std::fs::create_dir_all(&trees)

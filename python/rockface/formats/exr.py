@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rockface._errors import FormatError
-from rockface.artefacts import DepthMap, Frame, Image, Sensor
+from rockface.artefacts import DepthMap, Frame, Georeference, Image, Sensor
 
 __all__ = ["read", "write"]
 
@@ -38,7 +38,8 @@ def read(data: memoryview) -> DepthMap:
         raise FormatError("not a depth map: the OpenEXR file has no channel `Z`")
     z = channels.pop("Z")
     sensor, image = Sensor.of(camera["sensor"]), Image.of(camera["image"])
-    return DepthMap(Frame.of(camera["frame"]), sensor, image, int(camera["downscale"]), z, channels)
+    place = Georeference.of(camera["frame"])
+    return DepthMap(Frame.of(camera["frame"]), sensor, image, int(camera["downscale"]), z, channels, place)
 
 
 def _header(data: memoryview) -> tuple[dict[str, memoryview], int]:
@@ -96,7 +97,7 @@ def write(depth: DepthMap) -> bytes:
         if channels[name].shape != (height, width):
             raise FormatError(f"channel `{name}` has the shape {channels[name].shape}, Z has {(height, width)}")
     camera = {
-        "frame": str(depth.frame),
+        "frame": depth.written_frame(),
         "downscale": depth.downscale,
         "sensor": depth.sensor.as_dict(),
         "image": depth.image.as_dict(),

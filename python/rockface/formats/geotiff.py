@@ -23,12 +23,18 @@ WIDTH, HEIGHT, BITS, COMPRESSION, STRIPS, SAMPLES, ROWS = 256, 257, 258, 259, 27
 STRIP_BYTES, PLANAR, PREDICTOR, TILE_WIDTH, TILE_HEIGHT = 279, 284, 317, 322, 323
 TILES, TILE_BYTES, FORMAT, SCALE, TIEPOINT, KEYS = 324, 325, 339, 33550, 33922, 34735
 METADATA, NODATA = 42112, 42113
+OWN = '<Item name="QUANTITY">'
+"""Metadata of the files that rockface writes."""
+MODEL, PROJECTED_MODEL, LENGTH_UNIT, METRE = 1024, 1, 3076, 9001
+MOST_EXPANSION = 1400
+"""No compression that is read here expands further."""
 PIXEL_IS_POINT = (1025, 0, 1, 2)
 PROJECTED, VERTICAL, USER_DEFINED = 3072, 4096, 32767
 
 TYPES = {1: "B", 2: "s", 3: "H", 4: "I", 5: "II", 6: "b", 8: "h", 9: "i", 11: "f", 12: "d", 13: "I"}
 FORMATS = {1: "u", 2: "i", 3: "f"}
 OTHER = "open it with rasterio, or rewrite it with `gdal_translate -co COMPRESS=DEFLATE`"
+IMPORT = "open it with rasterio, or take what the stage `import-rasters` makes of it"
 
 Array = NDArray[Any]
 
@@ -79,6 +85,8 @@ def _directory(data: memoryview) -> _Directory:
         code = TYPES.get(kind)
         if code is None:
             continue
+        if number * struct.calcsize(f"{order}{code}") > len(data):
+            raise FormatError(f"damaged GeoTIFF: tag {tag} claims {number} values, more than the file can hold")
         form = f"{order}{number}s" if code == "s" else order + code * number
         size = struct.calcsize(form)
         at = place + 8 if size <= 4 else struct.unpack_from(order + "I", data, place + 8)[0]
@@ -125,6 +133,9 @@ class _Layout:
 
 
 def _bands(data: memoryview, layout: _Layout) -> Array:
+    size = layout.samples * layout.rows * layout.columns * layout.dtype.itemsize
+    if size > MOST_EXPANSION * len(data):
+        raise FormatError(f"damaged GeoTIFF: {layout.rows} x {layout.columns} x {layout.samples} values in {len(data)} bytes")
     bands = np.empty((layout.samples, layout.rows, layout.columns), layout.dtype.newbyteorder("="))
     for number, band, top, left in layout.chunks():
         height = layout.height if layout.tiled else min(layout.height, layout.rows - top)
@@ -167,6 +178,8 @@ def _raster(directory: _Directory, bands: Array) -> Raster:
     if abs(scale_x - scale_y) > 1e-9 * abs(scale_x):
         raise FormatError(f"cells must be square; this file has {scale_x} by {scale_y}: {OTHER}")
     keys = tags.get(KEYS, ())
+    if OWN not in metadata:
+        _check_foreign(metadata, keys)
     entries = {tuple(keys[at : at + 4]) for at in range(4, len(keys), 4)}
     half = 0.5 * scale_x if PIXEL_IS_POINT in entries else 0.0
     left, top = x - column * scale_x - half, y + row * scale_y + half
@@ -179,6 +192,17 @@ def _raster(directory: _Directory, bands: Array) -> Raster:
     place = _georeference(metadata, keys)
     frame = Frame(_item(metadata, "FRAME") or ("world" if place else "wall"))
     return Raster(grid, frame, _item(metadata, "QUANTITY") or "value", named, place)
+
+
+def _check_foreign(metadata: str, keys: tuple[Any, ...]) -> None:
+    """Refuses a file of another program whose numbers are not metres as they stand."""
+    stated = {keys[at]: keys[at + 3] for at in range(4, len(keys) - 3, 4) if keys[at + 1] == 0}
+    if stated.get(MODEL, PROJECTED_MODEL) not in (PROJECTED_MODEL, USER_DEFINED, 0):
+        raise FormatError(f"its coordinates are degrees, not metres: {IMPORT}")
+    if stated.get(LENGTH_UNIT, METRE) != METRE:
+        raise FormatError(f"its coordinates are not in metres (unit {stated[LENGTH_UNIT]}): {IMPORT}")
+    if re.search(r'role="(scale|offset)"', metadata):
+        raise FormatError(f"its numbers have a scale or an offset: {IMPORT}")
 
 
 def _georeference(metadata: str, keys: tuple[Any, ...]) -> Georeference | None:
@@ -194,8 +218,11 @@ def _georeference(metadata: str, keys: tuple[Any, ...]) -> Georeference | None:
 def _without(bands: Array, nodata: str) -> Array:
     """Cells with the value that stands for none become NaN."""
     value = float(nodata) if nodata.strip() else np.nan
-    if bands.dtype.kind == "f" and np.isfinite(value):
-        bands[bands == value] = np.nan
+    if not np.isfinite(value) or not (bands == value).any():
+        return bands
+    if bands.dtype.kind != "f":
+        bands = bands.astype(np.float32 if bands.dtype.itemsize < 4 else np.float64)
+    bands[bands == value] = np.nan
     return bands
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rockface._errors import FormatError
 from rockface.artefacts import Cloud, Frame, Georeference, Mesh, Meshes, Part, Placed
 
-__all__ = ["georeference_lines", "read", "write_cloud", "write_mesh"]
+__all__ = ["RESERVED", "georeference_lines", "read", "write_cloud", "write_mesh"]
 
 TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "<i2", "int16": "<i2", "ushort": "<u2",
@@ -22,6 +22,8 @@ TYPES = {
 }  # fmt: skip
 COLOURS = ("red", "green", "blue")
 NORMALS = ("nx", "ny", "nz")
+RESERVED = ("x", "y", "z", *NORMALS, *COLOURS)
+"""Properties of a vertex that no number of a cloud may be called."""
 GEOREFERENCE = "comment rockface georeference "
 OTHER = "open it with trimesh, or let `rockface inspect` describe it"
 
@@ -48,14 +50,15 @@ def read(data: memoryview) -> Mesh | Meshes | Cloud:
     try:
         elements = _elements(lines)
         rows = _rows(data, end + len(b"end_header\n"), elements)
-    except (KeyError, ValueError, IndexError) as error:
+    except (LookupError, ArithmeticError, ValueError) as error:
         raise FormatError(f"damaged PLY file: {error!r}") from error
     if "vertex" not in rows:
         raise FormatError("a PLY file without vertices")
     if any(line.startswith("comment part ") for line in lines):
         return _meshes(lines, rows)
     vertices, frame = rows["vertex"], _frame(lines)
-    if "face" in rows and len(rows["face"]):
+    is_mesh = any(line.startswith("comment rockface mesh,") for line in lines)
+    if "face" in rows and (is_mesh or len(rows["face"])):
         triangles, colours = _triangles(rows["face"]), _columns(vertices, COLOURS)
         return Mesh(frame, _columns(vertices, ("x", "y", "z")), triangles, colours, _georeference(lines))
     numbers = {name: vertices[name] for name in vertices.dtype.names or () if vertices.dtype[name] == np.dtype("<u4")}

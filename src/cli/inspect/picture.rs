@@ -6,7 +6,7 @@ use clap::ValueEnum;
 use rockface_core::artefact::Sketch;
 use rockface_core::artefact::sketch::{PictureSketch, Shape};
 
-use super::super::{CliError, say};
+use super::super::{CliError, output, say};
 
 /// Columns of a picture.
 const COLUMNS: usize = 80;
@@ -32,7 +32,7 @@ impl When {
             Self::Never => false,
             Self::Auto => {
                 let dumb = std::env::var_os("TERM").is_none_or(|term| term == "dumb");
-                std::io::stdout().is_terminal() && !dumb && std::env::var_os("NO_COLOR").is_none()
+                std::io::stdout().is_terminal() && !dumb && !output::is_plain()
             }
         }
     }

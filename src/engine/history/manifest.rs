@@ -157,6 +157,9 @@ pub struct StepDone {
     /// The numbers it logged.
     #[serde(default)]
     pub metrics: Vec<Metric>,
+    /// What it warned of.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub warnings: Vec<String>,
     /// The files its parameters name.
     #[serde(default)]
     pub files: Vec<FileUsed>,
@@ -244,6 +247,11 @@ impl Manifest {
     /// The step instances that failed, and why.
     pub fn failures(&self) -> impl Iterator<Item = (String, &str)> {
         self.steps.iter().filter_map(|done| Some((done.label(), done.failure.as_deref()?)))
+    }
+
+    /// What step instances warned of.
+    pub fn warnings(&self) -> impl Iterator<Item = (String, &str)> {
+        self.steps.iter().flat_map(|done| done.warnings.iter().map(|text| (done.label(), text.as_str())))
     }
 
     /// Writes the file: JSON, with a line for each step instance. Of a large run it is never in memory as a whole.

@@ -122,6 +122,7 @@ pub mod tests {
             cost: None,
             parameters: std::sync::Arc::default(),
             metrics: metrics.iter().map(metric).collect(),
+            warnings: Vec::new(),
             files: Vec::new(),
             inputs: BTreeMap::new(),
             paths: BTreeMap::new(),

@@ -147,7 +147,11 @@ fn listed(values: &str, span: Span) -> Result<Vec<Node>, String> {
     }
     let mut at = span.start;
     let mut nodes = Vec::new();
-    for value in between_commas(values) {
+    let parts = between_commas(values);
+    if let Some(number) = parts.windows(2).find_map(|pair| with_decimal_comma(pair[0], pair[1])) {
+        return Err(format!("commas part the values here: numbers are written with a point, {number}"));
+    }
+    for value in parts {
         let place = Span { start: at, end: at + value.len(), ..span };
         at = place.end + 1;
         let node = Node::parse(value.trim(), span.source).map_err(|_| format!("`{value}` is no value"))?;
@@ -160,6 +164,15 @@ fn listed(values: &str, span: Span) -> Result<Vec<Node>, String> {
         }
     }
     Ok(nodes)
+}
+
+/// The number that two parts of a list may be meant to be: `0` and `05`, since nobody writes 5 as `05`.
+fn with_decimal_comma(whole: &str, fraction: &str) -> Option<String> {
+    let (whole, fraction) = (whole.trim(), fraction.trim());
+    let is_digits = |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
+    let is_fraction = fraction.starts_with('0') && fraction.len() > 1 && is_digits(fraction);
+    let is_whole = is_digits(whole.trim_start_matches(['+', '-']));
+    (is_whole && is_fraction).then(|| format!("{whole}.{fraction}"))
 }
 
 /// The parts of a list with commas, but for those in double quotes.
@@ -237,6 +250,7 @@ mod tests {
             r#"{"axes":{"a":{"values":[0.05,0.075,0.1,0.125,0.15,0.175,0.2]}},"seed":1}"#
         );
         assert!(swept("seed: 1", "a=-1e308..1e308:3").contains("wider"));
+        assert!(swept("seed: 1", "a=0,05,0,1").contains("with a point, 0.05"));
         assert_eq!(swept("seed: 1", "a=3..2:3"), r#"{"axes":{"a":{"values":[3,2.5,2]}},"seed":1}"#);
         assert_eq!(
             swept("params: {s: {type: text}}", "s=1.0,1e3,true"),

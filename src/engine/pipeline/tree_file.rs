@@ -1,7 +1,7 @@
 //! The tree of a long YAML text in a compact file, so that the text is not taken apart anew as long as it is the same.
 //!
-//! At most 16 files in a folder, each replaced in one step and believed only if its digest and that of the text are right, and
-//! if this user wrote it: in a shared store somebody else could put another pipeline in the place of a text.
+//! At most 16 files in a folder, each replaced in one step and believed only if it bears the mark of this user, made of the text and the
+//! tree: in a shared store, or one that was given away, somebody else could put another pipeline in the place of a text.
 //! A node is a byte that tells what it is, where it stands (start and length, as many bytes as they need), and its content.
 
 use std::path::{Path, PathBuf};
@@ -15,7 +15,9 @@ use crate::diagnostic::{Diagnostic, Span};
 /// Shorter texts are read as quickly as their trees.
 const LONG_BYTES: usize = 64 << 10;
 /// Opens every file; trees of another version are none.
-const FORMAT: &str = "rockface tree 1";
+const FORMAT: &str = "rockface tree 2";
+/// Tells marks on trees from those on anything else.
+const MARKED: &[u8] = b"tree";
 /// Trees that are nested deeper are not believed: the text says itself whether it is nested too deep.
 const DEPTH: usize = 200;
 /// Room that is made for a list before its elements are seen.
@@ -30,7 +32,7 @@ pub fn parse(text: &str, source: usize, folder: Option<&Path>) -> Result<Node, D
     let Some(folder) = folder.filter(|_| text.len() >= LONG_BYTES) else { return Node::parse(text, source) };
     let digest = Digest::of(text.as_bytes());
     let file = slot(folder, &digest);
-    if let Some(tree) = rockface_cache::read_own(&file).and_then(|bytes| read(&bytes, &digest, text, source)) {
+    if let Some(tree) = rockface_cache::read_plain(&file).and_then(|bytes| read(&bytes, &digest, text, source)) {
         return Ok(tree);
     }
     let tree = Node::parse(text, source)?;
@@ -46,18 +48,23 @@ fn slot(folder: &Path, digest: &Digest) -> PathBuf {
 fn write(tree: &Node, text: &Digest, file: &Path) -> std::io::Result<()> {
     let mut body = Vec::new();
     put_node(&mut body, tree);
-    let head = format!("{FORMAT} {text} {}\n", Digest::of(&body));
+    let Some(mark) = mark(text, &body) else { return Ok(()) };
+    let head = format!("{FORMAT} {text} {mark}\n");
     let mut temporary = tempfile::NamedTempFile::new_in(file.parent().unwrap_or(Path::new(".")))?;
     std::io::Write::write_all(&mut temporary, head.as_bytes())?;
     std::io::Write::write_all(&mut temporary, &body)?;
     temporary.persist(file).map(drop).map_err(|error| error.error)
 }
 
+fn mark(text: &Digest, body: &[u8]) -> Option<Digest> {
+    rockface_cache::mark(&[MARKED, text.as_bytes(), body])
+}
+
 fn read(bytes: &[u8], digest: &Digest, text: &str, source: usize) -> Option<Node> {
     let end = bytes.iter().position(|byte| *byte == b'\n')?;
     let (head, body) = (std::str::from_utf8(&bytes[..end]).ok()?, &bytes[end + 1..]);
     let told = head.strip_prefix(FORMAT)?.trim().split_once(' ')?;
-    if told != (digest.to_string().as_str(), Digest::of(body).to_string().as_str()) {
+    if told != (digest.to_string().as_str(), mark(digest, body)?.to_string().as_str()) {
         return None;
     }
     let mut reader = Reader { body, text, source, depth: 0 };
@@ -223,11 +230,16 @@ mod tests {
 
     #[test]
     fn a_tree_without_end_is_not_believed() {
-        // Lists of one list each, all at the start of the text; written by nobody, but with the right digests.
+        // Lists of one list each, all at the start of the text; written by nobody, but with the right mark.
         let body = [b'l', 0, 0, 1].repeat(100_000);
         let digest = Digest::of(TEXT.as_bytes());
-        let file = [format!("{FORMAT} {digest} {}\n", Digest::of(&body)).as_bytes(), &body].concat();
-        assert_eq!(read(&file, &digest, TEXT, 0), None);
+        let file = |mark: Digest, body: &[u8]| [format!("{FORMAT} {digest} {mark}\n").as_bytes(), body].concat();
+        assert_eq!(read(&file(mark(&digest, &body).unwrap(), &body), &digest, TEXT, 0), None);
+        // A whole tree with no mark but its digest is that of somebody else.
+        let mut whole = Vec::new();
+        put_node(&mut whole, &Node::parse(TEXT, 0).unwrap());
+        assert!(read(&file(mark(&digest, &whole).unwrap(), &whole), &digest, TEXT, 0).is_some());
+        assert_eq!(read(&file(Digest::of(&whole), &whole), &digest, TEXT, 0), None);
     }
 
     #[test]

@@ -110,9 +110,10 @@ pub struct Progress {
 }
 
 /// A text as it may be put on a terminal: logs and names come from stores and files of others, and what a terminal takes for
-/// a command is written out instead.
+/// a command, or what turns the direction of letters, is written out instead.
 pub fn printable(text: &str) -> Cow<'_, str> {
-    let is_command = |letter: char| letter.is_control() && !matches!(letter, '\n' | '\t');
+    let turns = |letter: char| matches!(letter, '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
+    let is_command = |letter: char| (letter.is_control() && !matches!(letter, '\n' | '\t')) || turns(letter);
     if !text.contains(is_command) {
         return text.into();
     }

@@ -1,4 +1,4 @@
-//! The surface an elevation raster stands for: a point at every cell centre, triangles between neighbours.
+//! The surface an elevation raster stands for: a point at every cell centre, triangles between neighbours; and gaps that are bridged.
 
 use rockface_core::artefact::{Grid, Raster, Surface};
 use rockface_core::{StageError, fail};
@@ -32,4 +32,57 @@ pub fn between_cells(raster: &Raster) -> Result<Surface, StageError> {
     };
     let squares = (0..width.saturating_sub(1) * height.saturating_sub(1)).map(square).collect();
     Ok(Surface { frame: raster.frame, width, height, origin_m: [left_m, top_m, z_m], points, squares })
+}
+
+/// Elevations by row with their narrow gaps bridged: a cell without a value (NaN) between two with one in its row or in its column, with at
+/// most `most` cells without a value between them, lies on the straight line from the one to the other; where both do, on the mean of
+/// both lines, the shorter one with more weight. All other cells stay as they are.
+pub fn bridged(values: &[f32], columns: usize, most: usize) -> Vec<f32> {
+    let mut sums = vec![[0.0f64; 2]; if most == 0 { 0 } else { values.len() }];
+    if sums.is_empty() || values.iter().all(|z| !z.is_nan()) {
+        return values.to_vec();
+    }
+    let rows = values.len() / columns;
+    (0..rows).for_each(|row| add_lines(values, row * columns, 1, columns, most, &mut sums));
+    (0..columns).for_each(|column| add_lines(values, column, columns, rows, most, &mut sums));
+    let bridge = |(z, [sum, weight]): (&f32, &[f64; 2])| {
+        if z.is_nan() && *weight > 0.0 { (sum / weight) as f32 } else { *z }
+    };
+    values.iter().zip(&sums).map(bridge).collect()
+}
+
+/// Adds what lies on lines over the gaps of one row or column of `count` cells, to the sum of heights times weights and that of weights.
+fn add_lines(values: &[f32], first: usize, step: usize, count: usize, most: usize, sums: &mut [[f64; 2]]) {
+    let mut last = None;
+    for at in (0..count).filter(|at| !values[first + at * step].is_nan()) {
+        let height = |at: usize| f64::from(values[first + at * step]);
+        if let Some(last) = last.replace(at).filter(|last| (2..=most + 1).contains(&(at - last))) {
+            let apart = (at - last) as f64;
+            for between in last + 1..at {
+                let share = (between - last) as f64 / apart;
+                let [sum, weight] = &mut sums[first + between * step];
+                *sum += (height(last) * (1.0 - share) + height(at) * share) / apart;
+                *weight += 1.0 / apart;
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn narrow_gaps_are_bridged_along_rows_and_columns() {
+        let gap = f32::NAN;
+        let shown = |values: Vec<f32>| format!("{values:?}");
+        // Two cells in a row: on the line. At the border there is no other side.
+        assert_eq!(shown(bridged(&[1.0, gap, gap, 4.0, gap], 5, 2)), "[1.0, 2.0, 3.0, 4.0, NaN]");
+        assert_eq!(shown(bridged(&[1.0, gap, gap, 4.0], 4, 1)), "[1.0, NaN, NaN, 4.0]");
+        assert_eq!(shown(bridged(&[1.0, gap, 3.0], 1, 0)), "[1.0, NaN, 3.0]");
+        // One cell apart in the column, three in the row: weights of a half and a quarter.
+        let mut cross = vec![gap; 15];
+        (cross[5], cross[9], cross[2], cross[12]) = (0.0, 8.0, 1.0, 1.0);
+        assert_eq!(shown(bridged(&cross, 5, 3)[7..8].to_vec()), "[2.0]");
+    }
 }

@@ -13,9 +13,18 @@ pub(super) fn going_on(stop: &AtomicBool) -> Result<(), RunError> {
     if stop.load(Ordering::Relaxed) { Err(RunError::Interrupted) } else { Ok(()) }
 }
 
-/// Writes a whole file or none, and makes its content durable.
+/// Writes a whole file or none. It becomes durable with all others of the folder.
 pub(super) fn write_file(path: &Path, bytes: &[u8]) -> Result<(), RunError> {
-    put(durable(path, |file| file.write_all(bytes))?, path)
+    put(staged(path, |file| file.write_all(bytes))?, path)
+}
+
+/// What is to be the file at `path`, written beside it; [`put`] gives it its name.
+fn staged(path: &Path, write: impl FnOnce(&mut NamedTempFile) -> io::Result<()>) -> Result<NamedTempFile, RunError> {
+    let write = || {
+        let mut file = NamedTempFile::new_in(path.parent().unwrap_or(Path::new(".")))?;
+        write(&mut file).map(|()| file)
+    };
+    write().map_err(failed(path))
 }
 
 /// What is to be the file at `path`, written and made durable beside it; [`put`] gives it its name.
@@ -23,12 +32,9 @@ pub(super) fn durable(
     path: &Path,
     write: impl FnOnce(&mut NamedTempFile) -> io::Result<()>,
 ) -> Result<NamedTempFile, RunError> {
-    let write = || {
-        let mut file = NamedTempFile::new_in(path.parent().unwrap_or(Path::new(".")))?;
-        write(&mut file)?;
-        file.as_file().sync_all().map(|()| file)
-    };
-    write().map_err(failed(path))
+    let file = staged(path, write)?;
+    file.as_file().sync_all().map_err(failed(path))?;
+    Ok(file)
 }
 
 /// Gives a finished file its name.

@@ -134,6 +134,10 @@ fn step(plan: &Plan, summary: &Summary, store: &Store, instance: usize, entries:
         }
         _ => None,
     });
+    let warnings = entries.iter().filter_map(|entry| match entry {
+        Entry::Warning { text } => Some(text.clone()),
+        _ => None,
+    });
     let files = params.files.values().flatten();
     let status = match outcome {
         _ if result.executed => "executed",
@@ -155,6 +159,7 @@ fn step(plan: &Plan, summary: &Summary, store: &Store, instance: usize, entries:
         cost: outcome.map(|outcome| outcome.cost),
         parameters: params.recipe.clone(),
         metrics: metrics.collect(),
+        warnings: warnings.collect(),
         files: files.map(|file| FileUsed { path: file.path.clone(), blake3: file.digest }).collect(),
         inputs: inputs(plan, summary, store, instance),
         paths: paths.clone(),

@@ -199,7 +199,7 @@ impl Writer<'_> {
         let Filled { manifest, headlines, warnings, laid } = filled?;
         synced?;
         // A folder with a manifest is whole, after a power cut too.
-        unfinished::sync_all(folder)?;
+        phase!("sync", unfinished::sync_all(folder))?;
         put(manifest, &folder.join(MANIFEST))?;
         let mut own = vec![MANIFEST, LOG_FILE, PIPELINE, CRATE];
         own.extend(folder.join(POINTS_FILE).exists().then_some(POINTS_FILE));
@@ -410,6 +410,10 @@ pub(super) fn point_latest(runs: &Path, folder: &Path) -> Result<(), RunError> {
 fn point(runs: &Path, latest: &Path, target: &Path) -> Result<(), RunError> {
     if std::fs::read_link(latest).is_ok_and(|now| now == *target) {
         return Ok(());
+    }
+    if std::fs::symlink_metadata(latest).is_ok_and(|meta| !meta.is_symlink()) {
+        let told = "it is no link of rockface and stays as it is: give it another name, or the runs another folder";
+        return Err(failed(latest)(std::io::Error::new(std::io::ErrorKind::AlreadyExists, told)));
     }
     let staged = runs.join(format!("{}{}", unfinished::STAGED, std::process::id()));
     loop {

@@ -16,6 +16,9 @@ const BEGUN: &str = ".begun-";
 /// Starts the names of links that are to become `latest`.
 pub const STAGED: &str = ".latest-";
 
+/// As many threads make a folder durable: file systems do what several of them ask for in one go.
+const SYNCED_AT_ONCE: usize = 16;
+
 /// The right to write a run folder.
 pub struct Unfinished {
     folder: PathBuf,
@@ -88,8 +91,22 @@ impl Unfinished {
     /// A folder that tells half of a run would only mislead.
     pub fn discard(self) {
         // What cannot be removed now is left for the next sweep, which finds its mark.
-        let _ = std::fs::remove_dir_all(&self.folder);
+        let _ = remove_marked(&self.folder);
     }
+}
+
+/// Removes a folder, its mark last: one whose removal is interrupted keeps it, and is found again.
+fn remove_marked(folder: &Path) -> std::io::Result<()> {
+    for entry in std::fs::read_dir(folder)? {
+        let entry = entry?;
+        match entry.file_type()? {
+            _ if entry.file_name() == MARK => {}
+            kind if kind.is_dir() => std::fs::remove_dir_all(entry.path())?,
+            _ => std::fs::remove_file(entry.path())?,
+        }
+    }
+    std::fs::remove_file(folder.join(MARK))?;
+    std::fs::remove_dir(folder)
 }
 
 /// Removes the folders whose writers died before they were whole, and links that never became `latest`. A folder whose
@@ -122,7 +139,7 @@ fn sweep_folder(folder: &Path, is_begun: bool) {
     {
         let _ = match std::fs::metadata(folder.join("run.json")) {
             Ok(_) => std::fs::remove_file(&mark),
-            Err(error) if error.kind() == ErrorKind::NotFound => std::fs::remove_dir_all(folder),
+            Err(error) if error.kind() == ErrorKind::NotFound => remove_marked(folder),
             Err(_) => Ok(()),
         };
     }
@@ -130,16 +147,33 @@ fn sweep_folder(folder: &Path, is_begun: bool) {
 
 /// Makes a folder and all that is in it durable. Links are, with the folder they are in.
 pub fn sync_all(folder: &Path) -> Result<(), RunError> {
+    let mut paths = Vec::new();
+    gather(folder, &mut paths)?;
+    let sync_some = |some: &[PathBuf]| some.iter().try_for_each(|path| sync(path));
+    if paths.len() <= SYNCED_AT_ONCE {
+        return sync_some(&paths);
+    }
+    std::thread::scope(|scope| {
+        let parts = paths.chunks(paths.len().div_ceil(SYNCED_AT_ONCE));
+        let syncing: Vec<_> = parts.map(|part| scope.spawn(move || sync_some(part))).collect();
+        let done = syncing.into_iter().map(|one| one.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)));
+        done.fold(Ok(()), Result::and)
+    })
+}
+
+/// All files and folders in a folder, itself last.
+fn gather(folder: &Path, paths: &mut Vec<PathBuf>) -> Result<(), RunError> {
     for entry in std::fs::read_dir(folder).map_err(failed(folder))? {
         let entry = entry.map_err(failed(folder))?;
         let (path, kind) = (entry.path(), entry.file_type().map_err(failed(folder))?);
         if kind.is_dir() {
-            sync_all(&path)?;
+            gather(&path, paths)?;
         } else if kind.is_file() {
-            sync(&path)?;
+            paths.push(path);
         }
     }
-    sync(folder)
+    paths.push(folder.to_owned());
+    Ok(())
 }
 
 /// Makes a file, or the names in a folder, durable.

@@ -9,7 +9,7 @@ use crate::detection::facing;
 use crate::detection::found;
 use crate::detection::found::Found;
 use crate::detection::voxels::{self, Cluster, Voxels};
-use rockface_core::artefact::{Artefact, Grid, Kind, Surface, Transform};
+use rockface_core::artefact::{Artefact, Band, Grid, Kind, Raster, Surface, Transform};
 use rockface_core::params::Range;
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
 use rockface_raster::raster_surface;
@@ -19,6 +19,9 @@ use rockface_raster::shape::{Moved, Shape};
 const OPEN_VOXELS: usize = 27;
 const OPEN_SHARE: f64 = 0.25;
 
+/// Voxels across the widest gap that is bridged, unless a width is said.
+const BRIDGED_VOXELS: f64 = 5.0;
+
 params! {
     /// Parameters of `detect-voxels`.
     pub struct DetectVoxelsParams {
@@ -26,6 +29,9 @@ params! {
         change: Change = Change::Loss,
         /// Edge of a voxel, metres: about the registration error; a change shows from about twice this on.
         voxel_m: f64 = 0.05; Range::Positive,
+        /// Widest gap of elevations that is bridged by straight lines, metres; by default five voxels. 0 bridges none: each gap then lets
+        /// the outside in. Meshes and surfaces have no other triangles than their own.
+        bridge_m: Option<f64> = None; Range::NonNegative,
         /// Enclosed voxels a detachment must have.
         least_voxels: u32 = 8; Range::AtLeast(1.0),
         /// Least ratio of enclosed voxels to those around them: what is thinner is no body.
@@ -39,7 +45,7 @@ pub struct DetectVoxels;
 impl Stage for DetectVoxels {
     type Params = DetectVoxelsParams;
     const NAME: &'static str = "detect-voxels";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const PAGE: Page = Page::new(include_str!("detect_voxels.md"));
     const INPUTS: &'static [Port] = &[
         Port::one(
@@ -66,7 +72,7 @@ impl Stage for DetectVoxels {
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
         let mut made = Vec::new();
         for port in ["reference", "comparison"] {
-            made.push(triangles(port, inputs.artefact(port)?)?);
+            made.push(triangles(port, inputs.artefact(port)?, params)?);
         }
         let shapes = ["reference", "comparison"].into_iter().zip(&made).map(|(port, made)| match made {
             Some(surface) => Ok(Shape::Surface(surface)),
@@ -103,10 +109,18 @@ fn shape<'a>(port: &str, inputs: &'a Inputs) -> Result<Shape<'a>, StageError> {
         .ok_or_else(|| StageError::new(format!("port `{port}` needs a mesh, a surface or a raster")))
 }
 
-/// The triangles between the cell centres of an elevation raster; `None` for what has triangles of its own.
-fn triangles(port: &str, artefact: &Artefact) -> Result<Option<Surface>, StageError> {
+/// The triangles between the cell centres of an elevation raster, its narrow gaps bridged; `None` for what has triangles of its own.
+fn triangles(port: &str, artefact: &Artefact, params: &DetectVoxelsParams) -> Result<Option<Surface>, StageError> {
     let Artefact::Raster(raster) = artefact else { return Ok(None) };
-    raster_surface::between_cells(raster).map(Some).map_err(|e| e.within(format!("`{port}`")))
+    let bridge_m = params.bridge_m.unwrap_or(BRIDGED_VOXELS * params.voxel_m);
+    // A width of 0.3 m has 15 cells of 0.02 m, also where the quotient of the two is rounded down.
+    let most = (bridge_m / raster.grid.cell_m * (1.0 + 1e-9)) as usize;
+    let bridged = raster.bands.iter().map(|band| {
+        let values = raster_surface::bridged(&band.values, raster.grid.columns, most);
+        Band { values, ..band.clone() }
+    });
+    let raster = Raster { bands: bridged.collect(), ..raster.clone() };
+    raster_surface::between_cells(&raster).map(Some).map_err(|e| e.within(format!("`{port}`")))
 }
 
 /// The columns of voxels as a grid.
@@ -160,7 +174,7 @@ fn warn_of_open(open: &[usize], found: &[Found], params: &DetectVoxelsParams, co
     let lost_m3 = voxels as f64 * edge_m * edge_m * edge_m;
     if lost_m3 > OPEN_SHARE * (volume + lost_m3) {
         context.warn(format!(
-            "{lost_m3:.3} m3 between the surfaces are open to the outside, over gaps of one of them, at its border, or since the voxels are finer than the noise: nothing is \
+            "{lost_m3:.3} m3 between the surfaces are open to the outside, over gaps of one of them (`bridge_m`), at its border, or since the voxels are finer than the noise: nothing is \
              found there; `detect-raster` does not need closed surfaces"
         ));
     }
@@ -186,7 +200,7 @@ mod tests {
     use serde_json::json;
 
     use super::*;
-    use rockface_core::artefact::{Frame, Inventory, Raster};
+    use rockface_core::artefact::{Frame, Inventory};
     use rockface_core::testing::{TestHost, run_stage};
 
     const GRID: Grid = Grid { columns: 60, rows: 50, cell_m: 0.02, left_m: -0.6, top_m: 0.5 };
@@ -230,9 +244,15 @@ mod tests {
         }
         let (reference, host) = (elevations(0.0), TestHost::default());
         let inputs = [("reference", reference.clone().into()), ("comparison", after.clone().into())];
-        run_stage::<DetectVoxels>(&host, &json!({"voxel_m": 0.02}), &inputs).unwrap();
+        // A gap of two cells of 2 cm.
+        for (bridge, count) in [(0.0, 0), (0.03, 0), (0.04, 1)] {
+            let with = json!({"voxel_m": 0.02, "bridge_m": bridge});
+            let made = run_stage::<DetectVoxels>(&host, &with, &inputs).unwrap();
+            let Some(Artefact::Inventory(inventory)) = made.into_inner().remove("detections") else { panic!() };
+            assert_eq!(inventory.features.len(), count, "{bridge}");
+        }
         let told = host.warnings();
-        assert!(told.len() == 1 && told[0].contains("m3 between the surfaces are open to the outside"), "{told:?}");
-        assert!(found(reference, after, "loss").0.features.is_empty());
+        assert!(told.len() == 2 && told[0].contains("m3 between the surfaces are open to the outside"), "{told:?}");
+        assert_eq!(found(reference, after, "loss").0.features.len(), 1);
     }
 }

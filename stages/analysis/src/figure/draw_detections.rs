@@ -23,7 +23,7 @@ pub struct DrawDetections;
 impl Stage for DrawDetections {
     type Params = DrawDetectionsParams;
     const NAME: &'static str = "draw-detections";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const PAGE: Page = Page::new(include_str!("draw_detections.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("face", &[Kind::Raster], "Elevations of the face."),

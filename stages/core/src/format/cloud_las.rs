@@ -210,6 +210,20 @@ mod tests {
     }
 
     #[test]
+    fn a_header_that_counts_fewer_points_than_there_are_is_refused() {
+        // Of points whose fields are compressed together, only whole chunks tell that there are more.
+        for (format, compressed) in [(3, false), (7, false), (7, true)] {
+            let mut bytes = written(format, compressed);
+            bytes[247..255].copy_from_slice(&1000u64.to_le_bytes());
+            if bytes[107..111] != [0; 4] {
+                bytes[107..111].copy_from_slice(&1000u32.to_le_bytes());
+            }
+            let fault = read(bytes).unwrap_err().0;
+            assert!(fault.contains("counts 1000 points, and 2000 are there"), "{format} {compressed}: {fault}");
+        }
+    }
+
+    #[test]
     fn integers_times_scale_plus_offset_are_read_to_the_bit() {
         for (format, compressed) in FORMATS.into_iter().flat_map(|format| [(format, false), (format, true)]) {
             let cloud = read(written(format, compressed)).unwrap();

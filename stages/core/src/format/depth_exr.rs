@@ -156,6 +156,7 @@ pub fn read(bytes: &[u8]) -> Result<Depth, CodecError> {
         .map_err(|e| unreadable(&e))?;
     let camera = camera(&image.attributes, &image.layer_data.attributes)?;
     let size = image.layer_data.size;
+    check_size(&camera, [size.0, size.1])?;
     let mut channels = float_channels(image.layer_data.channel_data)?;
     let z = channels.remove(DEPTH_CHANNEL).ok_or_else(|| CodecError::new("OpenEXR depth map: no channel `Z`"))?;
     Ok(Depth {
@@ -168,6 +169,21 @@ pub fn read(bytes: &[u8]) -> Result<Depth, CodecError> {
         z,
         channels,
     })
+}
+
+/// Each pixel of a map has the ray of its place: a map of another size than its camera, such as one that was cut, would be somewhere else.
+fn check_size(camera: &Camera, [width, height]: [usize; 2]) -> Result<(), CodecError> {
+    let Camera { sensor, downscale, .. } = camera;
+    let side = |pixels: u32| pixels.checked_div(*downscale).unwrap_or(0) as usize;
+    let wanted = [side(sensor.width_px), side(sensor.height_px)];
+    if wanted != [width, height] {
+        return Err(CodecError(format!(
+            "the depth map has {width} x {height} pixels, its camera with downscale {downscale} has {} x {}: set pixels that are not wanted to \
+             NaN rather than cutting them off",
+            wanted[0], wanted[1]
+        )));
+    }
+    Ok(())
 }
 
 fn unreadable(error: &exr::error::Error) -> CodecError {
@@ -263,6 +279,16 @@ mod tests {
         assert_eq!(read(&bytes).unwrap(), sample());
         assert_eq!(write(&read(&bytes).unwrap()).unwrap(), bytes);
         assert!(bytes.windows(CONVENTION.len()).any(|window| window == CONVENTION.as_bytes()));
+    }
+
+    #[test]
+    fn a_map_of_another_size_than_its_camera_is_refused() {
+        let cut = Depth { height: 1, z: vec![1.0; 3], channels: BTreeMap::new(), ..sample() };
+        assert!(
+            read(&write(&cut).unwrap()).unwrap_err().0.contains("3 x 1 pixels, its camera with downscale 2 has 3 x 2")
+        );
+        let none = Depth { downscale: 0, ..sample() };
+        assert!(read(&write(&none).unwrap()).is_err());
     }
 
     #[test]

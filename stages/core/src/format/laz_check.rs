@@ -42,8 +42,29 @@ pub fn check_header(bytes: &[u8]) -> Result<(), CodecError> {
         let held = data.len() as u64 / record;
         return Err(damaged(&format!("its header promises {points} points, but the file ends after {held}")));
     }
+    if !is_compressed {
+        check_none_left(&head, points, data.len() as u64)?;
+    }
     affordable(&format!("LAS file: {points} points"), points.checked_mul(POINT_MEMORY_BYTES))?;
     head.evlr.map_or(Ok(()), |evlr| check_extended(bytes, evlr.start_of_first_evlr))
+}
+
+/// Refuses a header that counts fewer points than the file holds before its extended records and waveforms: the others would be missing
+/// without a word.
+fn check_none_left(head: &raw::Header, points: u64, data: u64) -> Result<(), CodecError> {
+    let start = u64::from(head.offset_to_point_data);
+    let after = [head.evlr.map(|evlr| evlr.start_of_first_evlr), head.start_of_waveform_data_packet_record];
+    let end = after.into_iter().flatten().filter(|at| *at > start).map(|at| at - start).fold(data, u64::min);
+    let held = end / u64::from(head.point_data_record_length).max(1);
+    if held > points {
+        return Err(too_few(points, held));
+    }
+    Ok(())
+}
+
+fn too_few(points: u64, held: u64) -> CodecError {
+    let way = "write it anew with the program it came from";
+    CodecError(format!("LAS file: its header counts {points} points, and {held} are there: {way}"))
 }
 
 /// The library reads the first extended record.
@@ -185,16 +206,18 @@ impl Packing {
     fn walk(&self, bytes: &[u8], start: usize, table: Option<usize>, points: u64) -> Result<(), CodecError> {
         let own = matches!(self.chunk_size, 0 | OF_ITS_OWN);
         let end = table.filter(|at| *at <= bytes.len()).unwrap_or(bytes.len());
-        let (mut at, mut passed, mut chunk) = (start + 8, 0u64, 0u64);
+        let (mut at, mut passed, mut held, mut chunk) = (start + 8, 0u64, 0u64, 0u64);
         // Chunks of their own sizes are counted by the table, which only the library reads: all of them are checked.
-        while passed < points || (own && table.is_some() && at < end) {
+        // Further chunks of the usual size would be points that the header does not count.
+        while passed < points || (table.is_some() && at < end) {
             let (count, next) = self.chunk(&bytes[..end], at).ok_or_else(|| {
                 damaged(&format!("chunk {chunk} (counted from 0) at byte {at} claims more bytes than the file has"))
             })?;
             passed = passed.saturating_add(u64::from(if own { count } else { self.chunk_size }));
+            held = held.saturating_add(u64::from(count));
             (at, chunk) = (next, chunk + 1);
         }
-        Ok(())
+        if held > points { Err(too_few(points, held)) } else { Ok(()) }
     }
 
     /// How many points a chunk says it has, and where the next begins: a point, their number, sizes of layers, layers.

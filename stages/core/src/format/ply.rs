@@ -72,6 +72,8 @@ pub(super) trait Source {
     /// How many rows of at least so many numbers, or bytes in a binary file, the rest may hold, so that no header alone
     /// makes us allocate.
     fn held(&self, least_row: (usize, usize)) -> usize;
+    /// How many bytes follow, but for white space at the end.
+    fn left(&self) -> usize;
     /// Reads the next rows of an element, at least one and at most so many, into one column for each property; returns how many.
     /// A list leaves a zero.
     fn columns(&mut self, element: &Element, most: usize, columns: &mut [Vec<f64>]) -> Result<usize, String>;
@@ -118,6 +120,9 @@ impl Source for Ascii<'_> {
         // A number and the space after it take two bytes; the last may lack the space.
         (self.rest.len() + 1).checked_div(2 * numbers).unwrap_or(usize::MAX)
     }
+    fn left(&self) -> usize {
+        self.rest.trim_ascii().len()
+    }
     fn columns(&mut self, element: &Element, _most: usize, columns: &mut [Vec<f64>]) -> Result<usize, String> {
         read_row(self, element, columns)
     }
@@ -160,6 +165,9 @@ impl<const LITTLE: bool> Source for Binary<'_, LITTLE> {
     }
     fn held(&self, (_, bytes): (usize, usize)) -> usize {
         self.rest.len().checked_div(bytes).unwrap_or(usize::MAX)
+    }
+    fn left(&self) -> usize {
+        self.rest.trim_ascii().len()
     }
     fn columns(&mut self, element: &Element, most: usize, columns: &mut [Vec<f64>]) -> Result<usize, String> {
         let (_, stride) = element.least_row();
@@ -236,7 +244,18 @@ fn read_body<S: Source>(header: &Header, mut source: S) -> Result<Mesh, CodecErr
             _ => skip(element, &mut source)?,
         }
     }
+    check_none_left(&source)?;
     Ok(mesh)
+}
+
+/// Refuses a file that goes on after the rows its header counts: what those leave out would be missing without a word.
+pub(super) fn check_none_left<S: Source>(source: &S) -> Result<(), CodecError> {
+    match source.left() {
+        0 => Ok(()),
+        left => Err(fault(&format!(
+            "{left} bytes follow the rows that the header counts: its counts are too low, or something was appended; write it anew"
+        ))),
+    }
 }
 
 /// Refuses an element whose rows the rest of the file cannot hold.

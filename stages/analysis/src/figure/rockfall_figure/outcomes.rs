@@ -1,6 +1,7 @@
 //! The face in grey relief with what was found, what was missed and what is false, in colours anyone can tell apart.
 
 use crate::figure::canvas::{Align, Canvas, Colour, Pen};
+use crate::figure::colour_scale::NO_DATA;
 use crate::figure::picture::draw_scale;
 use rockface_core::artefact::{CodecError, Grid, Polygon};
 
@@ -79,10 +80,11 @@ pub fn draw(map: &Map, width_px: usize) -> Result<Vec<u8>, CodecError> {
             strokes::outline(&mut sheet, &polygon, 2.0, outcome.colour);
         }
     }
-    // Over all outlines, so that none hides a mark.
+    // Over all outlines, so that none hides a mark; one for all parts of an outline, as they are counted.
     for outcome in &map.outcomes {
-        for polygon in outcome.outlines.iter().copied().flatten() {
-            draw_mark(&mut sheet, outcome.mark, reach(&face::in_units(polygon, &map.grid, &view)), outcome.colour);
+        for outline in outcome.outlines.iter().filter(|outline| !outline.is_empty()) {
+            let parts: Vec<_> = outline.iter().map(|polygon| face::in_units(polygon, &map.grid, &view)).collect();
+            draw_mark(&mut sheet, outcome.mark, reach(&parts), outcome.colour);
         }
     }
     canvas.lay(&sheet, [MARGIN, top]);
@@ -92,10 +94,10 @@ pub fn draw(map: &Map, width_px: usize) -> Result<Vec<u8>, CodecError> {
     canvas.to_png()
 }
 
-/// The middle of a polygon, and how far a mark over it reaches, units.
-fn reach(polygon: &Polygon) -> ([f64; 2], f64) {
+/// The middle of the parts of an outline, and how far a mark over them reaches, units.
+fn reach(parts: &[Polygon]) -> ([f64; 2], f64) {
     let ends = |axis: usize| {
-        let places = polygon.exterior.iter().map(|place| place[axis]);
+        let places = parts.iter().flat_map(|polygon| &polygon.exterior).map(|place| place[axis]);
         places.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], at| [low.min(at), high.max(at)])
     };
     let [[left, right], [top, bottom]] = [ends(0), ends(1)];
@@ -134,7 +136,7 @@ const SIXTEENTHS: [(f64, f64); 4] = [
 /// What the colours and marks stand for, in as many lines as it takes.
 struct Legend {
     pen: Pen,
-    /// By outcome: its text, and where it begins.
+    /// By outcome, and last for cells without a value where there are some: its text, and where it begins.
     entries: Vec<(String, [usize; 2])>,
     lines: usize,
 }
@@ -143,8 +145,9 @@ impl Legend {
     fn of(map: &Map, width: usize) -> Result<Self, CodecError> {
         let pen = Pen::plain(20.0, INK)?;
         let (mut x, mut line, mut entries) = (0, 0, Vec::new());
-        for outcome in &map.outcomes {
-            let text = format!("{} ({})", outcome.name, outcome.outlines.len());
+        let counts = map.outcomes.iter().map(|outcome| format!("{} ({})", outcome.name, outcome.outlines.len()));
+        let gaps = map.face.iter().any(|z| z.is_nan()).then(|| "no value".to_owned());
+        for text in counts.chain(gaps) {
             let room = 36 + pen.width(&text) as usize;
             if x > 0 && x + room > width {
                 (x, line) = (0, line + 1);
@@ -156,7 +159,7 @@ impl Legend {
     }
 
     fn draw(&self, canvas: &mut Canvas, map: &Map) {
-        for (outcome, (text, [x, y])) in map.outcomes.iter().zip(&self.entries) {
+        for (outcome, (_, [x, y])) in map.outcomes.iter().zip(&self.entries) {
             let (x, y) = (*x, *y);
             if outcome.filled && outcome.mark != Mark::None {
                 canvas.fill(x + 8, y + 5, 10, 10, outcome.colour);
@@ -167,7 +170,12 @@ impl Legend {
                 canvas.frame(x + 1, y + 1, 24, 18, outcome.colour);
             }
             draw_mark(canvas, outcome.mark, ([x as f64 + 13.0, y as f64 + 10.0], MARK), outcome.colour);
-            canvas.text(&self.pen, (x + 36) as f32, y as f32 + 10.0, Align::Left, text);
+        }
+        for (index, (text, [x, y])) in self.entries.iter().enumerate() {
+            if index == map.outcomes.len() {
+                canvas.fill(*x, *y, 26, 20, NO_DATA);
+            }
+            canvas.text(&self.pen, (x + 36) as f32, *y as f32 + 10.0, Align::Left, text);
         }
     }
 }
@@ -198,5 +206,18 @@ mod tests {
         };
         let marks = [Mark::None, Mark::Cross, Mark::Ring].map(marked);
         assert!(marks[0] == with && marks[1] != with && marks[2] != with && marks[1] != marks[2]);
+        let gaps: Vec<f32> = (0..2400).map(|cell| if cell < 60 { f32::NAN } else { 1.0 }).collect();
+        let holed = Map { face: &gaps, ..map.clone() };
+        let legend = |map: &Map| Legend::of(map, 480).unwrap().entries.last().unwrap().0.clone();
+        assert!(legend(&map) == "found (1)" && legend(&holed) == "no value");
+    }
+
+    #[test]
+    fn a_mark_spans_all_parts_of_an_outline() {
+        let square = |at: f64| {
+            let exterior = vec![[at, 0.0], [at + 10.0, 0.0], [at + 10.0, 10.0], [at, 10.0]];
+            Polygon { exterior, holes: Vec::new() }
+        };
+        assert_eq!(reach(&[square(0.0), square(40.0)]), ([25.0, 5.0], 29.0));
     }
 }

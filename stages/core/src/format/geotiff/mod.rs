@@ -85,6 +85,17 @@ mod tests {
     }
 
     #[test]
+    fn a_tile_that_is_left_out_has_no_value() {
+        let whole = raster(8, 6, 1);
+        let mut bytes = write(&whole).unwrap();
+        // The number of bytes of the only tile, tag 325 of a directory of entries of 12 bytes.
+        let at = (8..bytes.len()).find(|at| bytes[*at..].starts_with(&[0x45, 0x01, 4, 0, 1, 0, 0, 0])).unwrap();
+        bytes[at + 8..at + 12].fill(0);
+        let read = read(&bytes).unwrap();
+        assert_eq!((read.grid, read.bands[0].values.iter().all(|value| value.is_nan())), (whole.grid, true));
+    }
+
+    #[test]
     fn a_cut_or_damaged_file_is_refused_or_read_but_never_panics() {
         let bytes = write(&raster(8, 6, 2)).unwrap();
         for length in 0..bytes.len() {

@@ -233,7 +233,8 @@ fn values(
     }
     let is_plain = nodata.is_none() && scalings.is_none();
     let mut sample = Sample::Float;
-    for chunk in 0..layout.chunks() {
+    let left_out = left_out(file, nodata)?;
+    for chunk in (0..layout.chunks()).filter(|chunk| !left_out.get(*chunk).is_some_and(|is_left_out| *is_left_out)) {
         let decoded = file.read_chunk(chunk as u32).map_err(|e| refused(&e))?;
         sample = match decoded {
             DecodingResult::U8(_) if is_plain => Sample::Byte,
@@ -255,6 +256,23 @@ fn values(
         }
     }
     Ok((planes, sample))
+}
+
+/// Which tiles or strips the file leaves out since they have no value (GDAL's `SPARSE_OK`): they have no bytes.
+fn left_out(file: &mut File, nodata: Option<f64>) -> Result<Vec<bool>, CodecError> {
+    let tag = match file.get_chunk_type() {
+        ChunkType::Tile => Tag::TileByteCounts,
+        ChunkType::Strip => Tag::StripByteCounts,
+    };
+    let counts = file.find_tag_unsigned_vec::<u64>(tag).map_err(|e| refused(&e))?.unwrap_or_default();
+    let left_out: Vec<bool> = counts.iter().map(|bytes| *bytes == 0).collect();
+    if nodata.is_none() && left_out.contains(&true) {
+        let way = "write them, or say what stands for no value: `gdal_translate -a_nodata VALUE IN OUT`";
+        return Err(CodecError(format!(
+            "a GeoTIFF that leaves tiles out and has no no-data value, which would make them 0: {way}"
+        )));
+    }
+    Ok(left_out)
 }
 
 /// Values as 32-bit floats, NaN where the file says there are none; `scalings` are those of the bands side by side.

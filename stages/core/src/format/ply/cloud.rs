@@ -8,7 +8,7 @@ use crate::artefact::{Cloud, CodecError};
 use crate::format::ply::header::{
     CLOUD_COMMENT, Element, Encoding, Header, Property, Type, UNITS_COMMENT, georeference_line,
 };
-use crate::format::ply::{Ascii, Binary, ROWS_AT_A_TIME, Source, at, check_held, fault, finite, skip};
+use crate::format::ply::{Ascii, Binary, ROWS_AT_A_TIME, Source, at, check_held, check_none_left, fault, finite, skip};
 use crate::limits;
 
 /// Properties with a meaning of their own: no number may have such a name.
@@ -227,6 +227,7 @@ fn read_body<S: Source>(header: &Header, mut source: S) -> Result<Cloud, CodecEr
             skip(element, &mut source)?;
         }
     }
+    check_none_left(&source)?;
     Ok(cloud)
 }
 
