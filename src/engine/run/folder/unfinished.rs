@@ -16,7 +16,7 @@ const BEGUN: &str = ".begun-";
 /// Starts the names of links that are to become `latest`.
 pub const STAGED: &str = ".latest-";
 
-/// As many threads make a folder durable: file systems do what several of them ask for in one go.
+/// As many threads make a folder durable: file systems do together what several of them ask for.
 const SYNCED_AT_ONCE: usize = 16;
 
 /// The right to write a run folder.

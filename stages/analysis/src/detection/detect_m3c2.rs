@@ -7,7 +7,7 @@ use crate::detection::cloud::Cloud;
 use crate::detection::facing;
 use crate::detection::found;
 use crate::detection::found::Found;
-use crate::detection::limit::NORMAL_95;
+use crate::detection::limit::{self, NORMAL_95};
 use crate::detection::m3c2;
 use crate::detection::m3c2::{Distance, Scales};
 use crate::detection::{clusters, raster};
@@ -50,7 +50,7 @@ pub struct DetectM3c2;
 impl Stage for DetectM3c2 {
     type Params = DetectM3c2Params;
     const NAME: &'static str = "detect-m3c2";
-    const VERSION: u32 = 5;
+    const VERSION: u32 = 6;
     const PAGE: Page = Page::new(include_str!("detect_m3c2.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("reference", &[Kind::Surface, Kind::Mesh, Kind::Cloud], "The earlier epoch: its points or vertices."),
@@ -91,6 +91,8 @@ impl Stage for DetectM3c2 {
         let distances = m3c2::distances([&clouds[0], &clouds[1]], &cores, &scales(params));
         let found = detect(params, &grid, &distances);
         report(&found, &distances, params, context)?;
+        warn_of_depth(&distances, params, &grid, context);
+        warn_of_low_limit(&distances, params, context);
         let labels = found::labels(&grid, frame, &found)?;
         let detections = found::inventory(&grid, frame, "m3c2", &found);
         let distances = bands(&grid, frame, &distances);
@@ -141,25 +143,33 @@ fn detect(params: &DetectM3c2Params, grid: &Grid, distances: &[Option<Distance>]
 fn cluster(grid: &Grid, cells: &[usize], distances: &[Option<Distance>], limit: impl Fn(&Distance) -> f64) -> Found {
     let (mut volume, mut deviation, mut sum, mut deepest, mut score) = (0.0, 0.0, 0.0, 0.0f64, 0.0f64);
     let (mut points, mut moment) = (Vec::with_capacity(8 * cells.len()), Vector3::zeros());
-    for found in cells.iter().filter_map(|cell| distances[*cell].as_ref()) {
+    let known = cells.iter().filter_map(|cell| Some((*cell, distances[*cell].as_ref()?)));
+    for (cell, found) in known {
         let area = grid.cell_m * grid.cell_m / found.normal[2].max(STEEPEST);
         let size = found.distance_m.abs();
-        volume += area * size;
-        moment += area * size * (Vector3::from(found.core) + 0.5 * found.distance_m * Vector3::from(found.normal));
+        let swept = area * size * m3c2::area_share(distances, cell, grid.columns);
+        volume += swept;
+        moment += swept * (Vector3::from(found.core) + 0.5 * found.distance_m * Vector3::from(found.normal));
         deviation += area * limit(found) / NORMAL_95;
         sum += size;
         deepest = deepest.max(size);
         score = score.max(size / limit(found));
         points.extend(raster::corners(found.core, found.normal, found.distance_m, 0.5 * grid.cell_m));
     }
+    // Where lines along normals cross, their areas count the other way round: of few cells it can be all.
+    let volume = volume.max(0.0);
+    let middle =
+        || points.iter().fold(Vector3::zeros(), |sum, point| sum + Vector3::from(*point)) / points.len() as f64;
+    let centroid = if volume > 0.0 { moment / volume } else { middle() };
     Found {
         cells: cells.iter().map(|cell| (cell / grid.columns, cell % grid.columns)).collect(),
+        area_m2: None,
         volume_m3: volume,
         volume_sd_m3: deviation,
         depth_max_m: deepest,
         depth_mean_m: sum / cells.len().max(1) as f64,
         score,
-        centroid_m: (moment / volume).into(),
+        centroid_m: centroid.into(),
         points,
     }
 }
@@ -223,11 +233,47 @@ fn report(
     context.metric("detections", found.len() as f64, "1");
     context.metric("volume", volume, "m3");
     context.headline(format!(
-        "{} changes of {volume:.4} m3 together at {measured} core points, median LoD95 {:.1} mm",
+        "{} changes of {} m3 together at {measured} core points, median LoD95 {:.1} mm",
         found.len(),
+        found::volume_text(volume),
         1e3 * median
     ));
     Ok(())
+}
+
+/// Core points of a patch, at least, and the share of all measured ones, beyond the depth, that are worth a warning.
+const PATCH_CORES: usize = 30;
+
+/// Says where a patch of core points has no point of the comparison within reach, as under a rockfall that is deeper than the cylinders.
+fn warn_of_depth(distances: &[Option<Distance>], params: &DetectM3c2Params, grid: &Grid, context: &Context) {
+    let is_empty = |found: &Distance| found.points[1] < 1.0 && found.points[0] >= f64::from(params.least_points);
+    let mask: Vec<bool> = distances.iter().map(|found| found.as_ref().is_some_and(is_empty)).collect();
+    // A patch at the border may be where the comparison ends.
+    let is_inner = |cell: &usize| {
+        let (row, column) = (cell / grid.columns, cell % grid.columns);
+        (1..grid.rows.saturating_sub(1)).contains(&row) && (1..grid.columns.saturating_sub(1)).contains(&column)
+    };
+    let groups = clusters::groups(&mask, grid.columns).into_iter();
+    let largest = groups.filter(|cells| cells.iter().all(is_inner)).map(|cells| cells.len()).max().unwrap_or(0);
+    if largest >= PATCH_CORES {
+        let area_m2 = largest as f64 * grid.cell_m * grid.cell_m;
+        context.warn(format!(
+            "a patch of {area_m2:.3} m2 has no point of the comparison within `depth_m`, {} m: a change there is deeper, or nothing was seen; no \
+             change is found in it",
+            params.depth_m
+        ));
+    }
+}
+
+/// Noise beyond the limits counts as change.
+fn warn_of_low_limit(distances: &[Option<Distance>], params: &DetectM3c2Params, context: &Context) {
+    let known = || distances.iter().flatten().filter(|found| !found.limit_m.is_nan());
+    let changes: Vec<f32> = known().map(|found| found.distance_m as f32).collect();
+    let limits: Vec<f32> = known().map(|found| found.limit_m.max(params.min_lod_m) as f32).collect();
+    let way = "raise `registration_m` or `min_lod_m`";
+    limit::low(&limits, &changes)
+        .into_iter()
+        .for_each(|told| context.warn(format!("{told}: noise counts as change; {way}")));
 }
 
 #[cfg(test)]
@@ -257,6 +303,53 @@ mod tests {
         let made = run_stage::<DetectM3c2>(&TestHost::default(), &gain, &inputs).unwrap().into_inner();
         let Artefact::Inventory(found) = &made["detections"] else { panic!("no inventory") };
         assert!(found.features.is_empty());
+    }
+
+    #[test]
+    fn a_bump_on_a_slab_and_a_slanted_step_have_their_volumes() {
+        // A paraboloid of half axes 0.4 and 0.3 m falls off, down to the slab.
+        let bump = |height_m: f64, tilt: f64| {
+            height_mesh(160, [-0.8, 0.8, -0.8, 0.8], move |x, y| {
+                let beyond = (x / 0.4) * (x / 0.4) + (y / 0.3) * (y / 0.3);
+                tilt * x + height_m * (1.0 - beyond).max(0.0)
+            })
+        };
+        let volume = |before: rockface_core::artefact::Mesh, after: rockface_core::artefact::Mesh, change: &str| {
+            let with = json!({"projection_radius_m": 0.02, "normal_radii_m": [0.04], "core_spacing_m": 0.02, "registration_m": 0, "min_lod_m": 0.003,
+                "change": change});
+            let inputs = [("reference", before.into()), ("comparison", after.into())];
+            let made = run_stage::<DetectM3c2>(&TestHost::default(), &with, &inputs).unwrap().into_inner();
+            let Artefact::Inventory(found) = &made["detections"] else { panic!("no inventory") };
+            found.numbers("volume_m3").unwrap().into_iter().flatten().sum::<f64>()
+        };
+        for (height_m, tilt) in [(0.15, 0.0), (0.3, 0.0), (0.15, 0.5)] {
+            let truth = 0.5 * std::f64::consts::PI * 0.4 * 0.3 * height_m;
+            let lost = volume(bump(height_m, tilt), bump(0.0, tilt), "loss");
+            assert!((lost / truth - 1.0).abs() < 0.1, "{height_m} {tilt}: {lost} of {truth}");
+            let gained = volume(bump(0.0, tilt), bump(height_m, tilt), "gain");
+            assert!((gained / truth - 1.0).abs() < 0.1, "{height_m} {tilt}: gain of {gained} of {truth}");
+        }
+    }
+
+    #[test]
+    fn a_niche_that_is_deeper_than_the_cylinders_is_warned_of() {
+        let inside = |x: f64, y: f64| x.abs() < 0.3 && y.abs() < 0.3;
+        let plane = height_mesh(80, [-1.0, 1.0, -1.0, 1.0], |_, _| 0.0);
+        let niche = height_mesh(80, [-1.0, 1.0, -1.0, 1.0], |x, y| if inside(x, y) { -0.8 } else { 0.0 });
+        let warnings = |depth_m: f64| {
+            let host = TestHost::default();
+            let with = json!({"projection_radius_m": 0.05, "normal_radii_m": [0.1], "core_spacing_m": 0.05, "depth_m": depth_m});
+            run_stage::<DetectM3c2>(
+                &host,
+                &with,
+                &[("reference", plane.clone().into()), ("comparison", niche.clone().into())],
+            )
+            .unwrap();
+            host.warnings()
+        };
+        assert_eq!(warnings(1.0), Vec::<String>::new());
+        let told = warnings(0.4);
+        assert!(told.len() == 1 && told[0].contains("no point of the comparison within `depth_m`, 0.4 m"), "{told:?}");
     }
 
     #[test]

@@ -113,12 +113,13 @@ impl Stage for DetectRaster {
         let sign = params.change.sign();
         let lost: Vec<f64> = band.values.iter().map(|d| sign * f64::from(*d)).collect();
         let limits = limits(&params.lod, &band.values, [reference, comparison], difference.grid.columns)?;
-        warn_of_low_limit(&params.lod, &band.values, context);
+        warn_of_low_limit(&params.lod, &limits, &band.values, context);
         let limit = quantile::median(&mut marginal::known(&limits)).unwrap_or(f64::NAN);
         warn_of_offset(limit, &band.values, context);
         warn_of_uneven_noise(&params.lod, difference, context);
         let found = detect(params, difference, &lost, &limits, reference);
         report(&found, &limits, limit, &lost, context)?;
+        warn_of_missing(&found, difference, context);
         let labels = found::labels(&difference.grid, difference.frame, &found)?;
         let detections = found::inventory(&difference.grid, difference.frame, "raster", &found);
         Ok(Outputs::of("detections", detections).and("labels", labels))
@@ -158,9 +159,17 @@ fn limits(
     }
 }
 
-/// Noise beyond a given limit counts as change.
-fn warn_of_low_limit(limit: &Limit, difference: &[f32], context: &Context) {
-    let Limit::Fixed(FixedLimit { lod_m }) = limit else { return };
+/// Noise beyond a limit that does not come from the difference itself counts as change.
+fn warn_of_low_limit(limit: &Limit, limits: &[f32], difference: &[f32], context: &Context) {
+    let lod_m = match limit {
+        Limit::Fixed(FixedLimit { lod_m }) => lod_m,
+        Limit::Empirical(_) => return,
+        Limit::Quadrature(_) | Limit::Lague(_) => {
+            let way = "raise `registration_m`, or take `lod: {empirical: {}}`";
+            let told = limit::low(limits, difference);
+            return told.into_iter().for_each(|told| context.warn(format!("{told}: noise counts as change; {way}")));
+        }
+    };
     let least_m = NORMAL_95 * marginal::nmad(difference);
     if *lod_m < least_m {
         context.warn(format!(
@@ -259,6 +268,30 @@ fn detect(
     groups.iter().map(|cells| raster::cluster(grid, cells, |c| (surface(c), sign * lost[c]), limits, factor)).collect()
 }
 
+/// The share of cells without a value at the rims of what was found, of all its cells, that is worth a warning, and how many at least.
+const MISSING_SHARE: f64 = 0.15;
+const MISSING_CELLS: usize = 10;
+
+/// Says where cells without a value touch what was found: what was lost there is in no volume, and may part one change in several.
+fn warn_of_missing(found: &[Found], difference: &Raster, context: &Context) {
+    let (grid, values) = (&difference.grid, &difference.bands[0].values);
+    let mut missing = std::collections::BTreeSet::new();
+    for (row, column) in found.iter().flat_map(|found| &found.cells) {
+        let rows = row.saturating_sub(1)..=(row + 1).min(grid.rows - 1);
+        let columns = column.saturating_sub(1)..=(column + 1).min(grid.columns - 1);
+        let around = rows.flat_map(|row| columns.clone().map(move |column| row * grid.columns + column));
+        missing.extend(around.filter(|cell| values[*cell].is_nan()));
+    }
+    let cells: usize = found.iter().map(|found| found.cells.len()).sum();
+    if missing.len() >= MISSING_CELLS && missing.len() as f64 > MISSING_SHARE * cells as f64 {
+        context.warn(format!(
+            "{} cells without a value touch the {cells} cells of what was found: what changed there is in no volume and may part one change in \
+             several; see the pictures of both surveys",
+            missing.len()
+        ));
+    }
+}
+
 fn report(found: &[Found], limits: &[f32], median: f64, lost: &[f64], context: &Context) -> Result<(), StageError> {
     let tested = lost.iter().zip(limits).filter(|(d, limit)| !d.is_nan() && !limit.is_nan()).count();
     if tested == 0 {
@@ -269,7 +302,12 @@ fn report(found: &[Found], limits: &[f32], median: f64, lost: &[f64], context: &
     context.metric("lod95_median", median, "m");
     context.metric("detections", found.len() as f64, "1");
     context.metric("volume", volume, "m3");
-    context.headline(format!("{} changes of {volume:.4} m3 together beyond {:.1} mm", found.len(), 1e3 * median));
+    context.headline(format!(
+        "{} changes of {} m3 together beyond {:.1} mm",
+        found.len(),
+        found::volume_text(volume),
+        1e3 * median
+    ));
     Ok(())
 }
 

@@ -19,6 +19,8 @@ use rockface_raster::shape::{Moved, Shape};
 const OPEN_VOXELS: usize = 27;
 const OPEN_SHARE: f64 = 0.25;
 
+/// The greatest share of columns under bridges that a change may have: beyond, what encloses it was not seen but drawn.
+const MOST_BRIDGED: f64 = 0.5;
 /// Voxels across the widest gap that is bridged, unless a width is said.
 const BRIDGED_VOXELS: f64 = 5.0;
 
@@ -71,8 +73,11 @@ impl Stage for DetectVoxels {
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
         let mut made = Vec::new();
+        let mut bridged = Vec::new();
         for port in ["reference", "comparison"] {
-            made.push(triangles(port, inputs.artefact(port)?, params)?);
+            let (surface, gaps) = triangles(port, inputs.artefact(port)?, params)?;
+            made.push(surface);
+            bridged.push(gaps);
         }
         let shapes = ["reference", "comparison"].into_iter().zip(&made).map(|(port, made)| match made {
             Some(surface) => Ok(Shape::Surface(surface)),
@@ -87,16 +92,18 @@ impl Stage for DetectVoxels {
         let warning = facing::check("reference", reference, facing::VOLUMES_BELOW)?;
         warning.into_iter().for_each(|text| context.warn(text));
         let moved = inputs.optional::<Transform>("transform")?.and_then(Moved::by);
-        let voxels = Voxels::new([reference, comparison], moved.as_ref(), params.voxel_m)
+        let voxels = Voxels::new([reference, comparison], [&bridged[0], &bridged[1]], moved.as_ref(), params.voxel_m)
             .map_err(|e| e.hint("choose a larger `voxel_m`; are both surfaces in metres?"))?;
         let grid = plan(&voxels);
         let low = voxels.low;
         let occupied = voxels.occupied();
         let (clusters, open) = voxels.enclosed();
         let all = clusters.len();
-        let found: Vec<Found> =
-            clusters.iter().filter(|c| counts(c, params)).map(|c| body(c, &grid, low, params.voxel_m)).collect();
+        let (unseen, clusters): (Vec<Cluster>, Vec<Cluster>) =
+            clusters.into_iter().filter(|c| counts(c, params)).partition(|c| c.bridged > MOST_BRIDGED);
+        let found: Vec<Found> = clusters.iter().map(|c| body(c, &grid, low, params.voxel_m)).collect();
         report(&found, all, occupied, context);
+        note_unseen(&unseen, params, context);
         warn_of_open(&open, &found, params, context);
         let labels = found::labels(&grid, frame, &found)?;
         let detections = found::inventory(&grid, frame, "voxels", &found);
@@ -109,9 +116,14 @@ fn shape<'a>(port: &str, inputs: &'a Inputs) -> Result<Shape<'a>, StageError> {
         .ok_or_else(|| StageError::new(format!("port `{port}` needs a mesh, a surface or a raster")))
 }
 
-/// The triangles between the cell centres of an elevation raster, its narrow gaps bridged; `None` for what has triangles of its own.
-fn triangles(port: &str, artefact: &Artefact, params: &DetectVoxelsParams) -> Result<Option<Surface>, StageError> {
-    let Artefact::Raster(raster) = artefact else { return Ok(None) };
+/// The triangles between the cell centres of an elevation raster, its narrow gaps bridged, and which cells were such; `None` for what has
+/// triangles of its own.
+fn triangles(
+    port: &str,
+    artefact: &Artefact,
+    params: &DetectVoxelsParams,
+) -> Result<(Option<Surface>, Vec<bool>), StageError> {
+    let Artefact::Raster(raster) = artefact else { return Ok((None, Vec::new())) };
     let bridge_m = params.bridge_m.unwrap_or(BRIDGED_VOXELS * params.voxel_m);
     // A width of 0.3 m has 15 cells of 0.02 m, also where the quotient of the two is rounded down.
     let most = (bridge_m / raster.grid.cell_m * (1.0 + 1e-9)) as usize;
@@ -119,8 +131,10 @@ fn triangles(port: &str, artefact: &Artefact, params: &DetectVoxelsParams) -> Re
         let values = raster_surface::bridged(&band.values, raster.grid.columns, most);
         Band { values, ..band.clone() }
     });
+    let gaps = raster.bands.first().map(|band| band.values.iter().map(|z| z.is_nan()).collect()).unwrap_or_default();
     let raster = Raster { bands: bridged.collect(), ..raster.clone() };
-    raster_surface::between_cells(&raster).map(Some).map_err(|e| e.within(format!("`{port}`")))
+    let surface = raster_surface::between_cells(&raster).map_err(|e| e.within(format!("`{port}`")))?;
+    Ok((Some(surface), gaps))
 }
 
 /// The columns of voxels as a grid.
@@ -154,8 +168,11 @@ fn body(cluster: &Cluster, grid: &Grid, low: [f64; 3], edge_m: f64) -> Found {
     let points: Vec<[f64; 3]> = cluster.inside.iter().flat_map(|at| (0..8).map(|k| metres(corner(*at, k)))).collect();
     let sum = points.iter().fold(Vector3::zeros(), |sum, point| sum + Vector3::from(*point));
     let centroid = sum / points.len() as f64;
+    // As of the volume, half of what is around it is within.
+    let area_m2 = edge_m * edge_m * (columns.len() as f64 + 0.5 * cluster.rim as f64);
     Found {
-        depth_mean_m: volume_m3 / (columns.len() as f64 * edge_m * edge_m),
+        depth_mean_m: (volume_m3 / area_m2).min(deepest * edge_m),
+        area_m2: Some(area_m2),
         cells: columns.into_keys().collect(),
         volume_m3,
         volume_sd_m3: voxel * cluster.shell as f64 / 4.0,
@@ -164,6 +181,20 @@ fn body(cluster: &Cluster, grid: &Grid, low: [f64; 3], edge_m: f64) -> Found {
         centroid_m: centroid.into(),
         points,
     }
+}
+
+/// Says what lies mostly under bridges: one of the surveys did not see it, so nobody knows whether anything changed.
+fn note_unseen(unseen: &[Cluster], params: &DetectVoxelsParams, context: &Context) {
+    if unseen.is_empty() {
+        return;
+    }
+    let voxels: usize = unseen.iter().map(|cluster| cluster.inside.len()).sum();
+    let volume = found::volume_text(voxels as f64 * params.voxel_m * params.voxel_m * params.voxel_m);
+    context.metric("unseen", unseen.len() as f64, "1");
+    context.note(format!(
+        "{} spaces of {volume} m3 together are no changes: most of what encloses them are bridges over gaps, where a survey saw nothing",
+        unseen.len()
+    ));
 }
 
 /// Says what is not found since the outside reaches between the surfaces, if it is a quarter of all or more.
@@ -192,7 +223,11 @@ fn report(found: &[Found], clusters: usize, occupied: [usize; 3], context: &Cont
     if both == 0 {
         context.warn("the surfaces share no voxel: nothing closes the space between them; are both registered?");
     }
-    context.headline(format!("{} changes of {volume:.4} m3 together, of {clusters} enclosed spaces", found.len()));
+    context.headline(format!(
+        "{} changes of {} m3 together, of {clusters} enclosed spaces",
+        found.len(),
+        found::volume_text(volume)
+    ));
 }
 
 #[cfg(test)]
@@ -234,6 +269,21 @@ mod tests {
         assert!((number("cells") - count as f64).abs() < 0.5 && (120..=220).contains(&count), "{count}");
         assert!(found(elevations(0.0), elevations(0.12), "gain").0.features.is_empty());
         assert_eq!(found(elevations(0.12), elevations(0.0), "gain").0.features.len(), 1);
+    }
+
+    #[test]
+    fn a_crack_that_one_survey_did_not_see_is_no_change() {
+        // A crack of three cells, 20 cm deep, which the first survey has as a gap.
+        let is_crack = |cell: usize| (20..23).contains(&(cell % 60)) && (10..40).contains(&(cell / 60));
+        let with = |depth: f32| {
+            let values = (0..3000).map(|cell| if is_crack(cell) { depth } else { 0.01 }).collect();
+            Raster::single(GRID, Frame::Wall, "elevation", "elevation", values)
+        };
+        for change in ["loss", "gain"] {
+            let (before, after) = if change == "loss" { (f32::NAN, -0.2) } else { (-0.2, f32::NAN) };
+            assert!(found(with(before), with(after), change).0.features.is_empty(), "{change}");
+        }
+        assert_eq!(found(with(0.01), with(-0.2), "loss").0.features.len(), 1);
     }
 
     #[test]

@@ -37,6 +37,8 @@ table_row! {
 pub struct Found {
     /// (row, column) of the cells it covers on the detector's grid.
     pub cells: Vec<(usize, usize)>,
+    /// Its area in plan, square metres, where that is not the area of its cells.
+    pub area_m2: Option<f64>,
     /// Volume, cubic metres, positive.
     pub volume_m3: f64,
     /// Standard deviation of the volume, cubic metres; NaN where the detector knows none.
@@ -51,6 +53,11 @@ pub struct Found {
     pub centroid_m: [f64; 3],
     /// Points of both surfaces around the change, metres: its box is theirs.
     pub points: Vec<[f64; 3]>,
+}
+
+/// A volume for people: with four decimals, or in powers of ten where these would hide it.
+pub fn volume_text(volume_m3: f64) -> String {
+    if volume_m3 == 0.0 || volume_m3 >= 0.01 { format!("{volume_m3:.4}") } else { format!("{volume_m3:.3e}") }
 }
 
 /// The inventory of what was found, numbered from 1 in the given order.
@@ -73,7 +80,7 @@ fn columns<'a>(grid: &Grid, method: &'a str, number: usize, found: &Found) -> Co
         method,
         volume_m3: found.volume_m3,
         volume_sd_m3: found.volume_sd_m3,
-        area_m2: cells as f64 * grid.cell_m * grid.cell_m,
+        area_m2: found.area_m2.unwrap_or(cells as f64 * grid.cell_m * grid.cell_m),
         cells,
         depth_max_m: found.depth_max_m,
         depth_mean_m: found.depth_mean_m,
@@ -128,6 +135,7 @@ mod tests {
             |i: u32| [1.4 + 0.3 * f64::from(i & 1), 1.6 + 0.2 * f64::from(i >> 1 & 1), 0.1 * f64::from(i >> 2)];
         let found = Found {
             cells,
+            area_m2: None,
             volume_m3: 0.006,
             volume_sd_m3: f64::NAN,
             depth_max_m: 0.1,

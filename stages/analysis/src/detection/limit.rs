@@ -1,6 +1,7 @@
 //! Limits of detection on rasters: from the spread of the difference itself, or from registration error and roughness.
 
 use rayon::prelude::*;
+use rockface_core::numerics::{marginal, quantile};
 
 /// Cells a local plane needs: three for the plane, three for the spread about it.
 const LEAST_CELLS: f64 = 6.0;
@@ -14,6 +15,26 @@ pub enum Combination {
     Quadrature,
     /// 1.96 (sqrt(s1^2 + s2^2) + registration): Lague, Brodu and Leroux (2013), equation 1, for single cells.
     Lague,
+}
+
+/// Limits that are less than this share of 1.96 times the spread are low: estimates of either differ by some percent.
+const LOW: f64 = 1.0 / 1.15;
+
+/// What to say of limits that are clearly less than 1.96 times the spread (NMAD) of the changes, cell by cell: far more than 5 % of what did
+/// not change lies beyond. Limits and changes in metres; cells without either do not count.
+pub fn low(limits_m: &[f32], changes_m: &[f32]) -> Option<String> {
+    let known = || limits_m.iter().zip(changes_m).filter(|(limit, change)| **limit > 0.0 && !change.is_nan());
+    let ratios: Vec<f32> = known().map(|(limit, change)| change / limit).collect();
+    let spread = marginal::nmad(&ratios);
+    if spread.is_nan() || NORMAL_95 * spread * LOW <= 1.0 {
+        return None;
+    }
+    let mut limits: Vec<f64> = known().map(|(limit, _)| f64::from(*limit)).collect();
+    let median_mm = 1e3 * quantile::median(&mut limits)?;
+    Some(format!(
+        "the limits of detection, {median_mm:.1} mm in the median, are {:.1} times too small for the spread (NMAD) of the changes",
+        NORMAL_95 * spread
+    ))
 }
 
 /// The limit of a cell from the roughness of both surfaces and the registration error, all in metres.
@@ -97,6 +118,18 @@ impl Sums {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn limits_below_the_noise_are_low_and_the_change_of_a_few_cells_makes_none_so() {
+        // Quantiles of a normal value, without their tails.
+        let mut changes: Vec<f32> = (0..2000).map(|i| 0.01 * ((i % 100) as f32 / 50.0 - 1.0)).collect();
+        let spread = marginal::nmad(&changes) as f32;
+        changes[..100].fill(-0.5);
+        let at = |factor: f32| low(&vec![factor * spread; 2000], &changes);
+        assert!(at(1.96).is_none() && at(1.8).is_none());
+        assert!(at(1.0).unwrap().contains("times too small"));
+        assert!(low(&[0.01], &[f32::NAN]).is_none() && low(&[], &[]).is_none());
+    }
 
     #[test]
     fn a_tilted_plane_is_smooth_and_a_checkerboard_is_rough() {

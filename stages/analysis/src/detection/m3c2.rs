@@ -9,6 +9,8 @@ use rockface_core::numerics::simd::{Work, vectorised};
 use super::cloud::{Cloud, Cylinder, Stack};
 use super::limit::NORMAL_95;
 
+/// The most by which an area grows on its way, in size: noise of normals and distances would give a few cells more.
+const MOST_SHARE: f64 = 3.0;
 /// Core points that are one task.
 const CORES_AT_A_TIME: usize = 256;
 
@@ -136,6 +138,32 @@ impl Distance {
             points: stacks.map(|stack| stack.count),
         }
     }
+}
+
+/// The share by which the area of a cell of the reference changes on its way along the normals, as a mean over the way: 1 where the surfaces are
+/// parallel. Times the distance and the area of the cell it is the volume between the surfaces, exactly where positions and distances
+/// are linear between neighbours; a flat comparison under a slanted reference has less than the product of both.
+///
+/// The vector area of the cell at a share `t` of the way is the cross product of differences of neighbours' `core + t distance normal`,
+/// quadratic in `t`, so that Simpson's rule is exact.
+pub fn area_share(distances: &[Option<Distance>], cell: usize, columns: usize) -> f64 {
+    let known = |cell: usize| distances.get(cell)?.as_ref().filter(|found| !found.distance_m.is_nan());
+    let Some(own) = known(cell) else { return 1.0 };
+    let (row, column) = (cell / columns, cell % columns);
+    let beside = |is_inside: bool, cell: usize| if is_inside { known(cell).unwrap_or(own) } else { own };
+    let left = beside(column > 0, cell.wrapping_sub(1));
+    let right = beside(column + 1 < columns, cell + 1);
+    let above = beside(row > 0, cell.wrapping_sub(columns));
+    let below = beside(true, cell + columns);
+    let normal = Vector3::from(own.normal);
+    let area = |share: f64| {
+        let at = |found: &Distance| Vector3::from(found.core) + share * found.distance_m * Vector3::from(found.normal);
+        (at(right) - at(left)).cross(&(at(above) - at(below))).dot(&normal)
+    };
+    let [start, middle, end] = [0.0, 0.5, 1.0].map(area);
+    let mean = (start + 4.0 * middle + end) / 6.0;
+    // Without neighbours on one axis nothing is known of the area.
+    if start > 0.0 { (mean / start).clamp(-MOST_SHARE, MOST_SHARE) } else { 1.0 }
 }
 
 #[cfg(test)]

@@ -35,6 +35,7 @@ pub fn cluster(
     }
     Found {
         cells: cells.iter().map(|cell| (cell / grid.columns, cell % grid.columns)).collect(),
+        area_m2: None,
         volume_m3: sum * area_m2,
         volume_sd_m3: deviation * area_m2,
         depth_max_m: deepest,

@@ -11,7 +11,7 @@ use rockface_core::numerics::random::Key;
 pub struct Interval {
     /// The number; NaN where it has none.
     pub value: f64,
-    /// The 2.5 % and 97.5 % quantiles over resamples; NaN where none has a value.
+    /// The 2.5 % and 97.5 % quantiles over resamples; NaN where none has a value, and of a single epoch, which says nothing of others.
     pub ends: [f64; 2],
 }
 
@@ -52,7 +52,8 @@ pub fn draws(key: Key, epochs: usize, resamples: usize) -> Vec<Vec<usize>> {
 /// A number of the epochs, with its interval over the draws (percentile bootstrap, Efron 1979).
 pub fn interval<T: Clone>(epochs: &[T], draws: &[Vec<usize>], number: impl Fn(&[T]) -> Option<f64>) -> Interval {
     let of = |draw: &Vec<usize>| number(&draw.iter().map(|place| epochs[*place].clone()).collect::<Vec<T>>());
-    let mut drawn: Vec<f64> = draws.iter().filter_map(of).collect();
+    let several = if epochs.len() > 1 { draws } else { &[] };
+    let mut drawn: Vec<f64> = several.iter().filter_map(of).collect();
     drawn.sort_by(f64::total_cmp);
     let end = |level: f64| quantile::of_sorted(&drawn, level).unwrap_or(f64::NAN);
     Interval { value: number(epochs).unwrap_or(f64::NAN), ends: [end(0.025), end(0.975)] }
@@ -89,5 +90,7 @@ mod tests {
         assert!((found.value - 4.5).abs() < 1e-12);
         assert!((found.ends[0] - (4.5 - 1.78)).abs() < 0.2 && (found.ends[1] - (4.5 + 1.78)).abs() < 0.2, "{found:?}");
         assert!(interval(&[1.0], &[], |_| None).value.is_nan());
+        let single = interval(&[1.0], &[vec![0]], |values| mean(values.iter().copied()));
+        assert!(single.value > 0.9 && single.ends.iter().all(|end| end.is_nan()));
     }
 }

@@ -3,6 +3,7 @@
 use crate::detection::clusters;
 use crate::detection::compared;
 use crate::detection::compared::Side;
+use crate::detection::found;
 use crate::detection::score;
 use crate::detection::score::{Counts, Object, Score};
 use rockface_core::artefact::{Artefact, Band, Cell, Feature, Grid, Inventory, Kind, Raster, Sample, Table};
@@ -36,7 +37,7 @@ pub struct ScoreDetections;
 impl Stage for ScoreDetections {
     type Params = ScoreDetectionsParams;
     const NAME: &'static str = "score-detections";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const PAGE: Page = Page::new(include_str!("score_detections.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("truth", &[Kind::Inventory], "What is true, such as the ground truth of `remove-blocks`."),
@@ -195,6 +196,8 @@ fn summary(
         let kept = objects.iter().enumerate().filter(|(number, object)| object.counts && matched(*number));
         kept.fold(0.0, |sum, (_, object)| sum + object.volume_m3.unwrap_or(0.0))
     };
+    let outside = detections.iter().filter(|object| !object.counts);
+    let outside_m3 = outside.fold(0.0, |sum, object| sum + object.volume_m3.unwrap_or(0.0));
     let values = |name: &str| -> Vec<f64> { judged.numbers(name).unwrap_or_default().into_iter().flatten().collect() };
     let (errors, mut ratios, ious) = (values("volume_error"), values("log_volume_ratio"), values("iou"));
     let mean = |values: &[f64]| (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64);
@@ -238,6 +241,8 @@ fn summary(
         ("volume_error_median", median(&mut errors.clone())),
         ("log_volume_ratio_median", median(&mut ratios)),
         ("iou_mean", mean(&ious)),
+        ("outside", number(detections.iter().filter(|object| !object.counts).count())),
+        ("outside_m3", Some(outside_m3)),
     ];
     let mut table = Table::new(row.map(|(name, _)| name));
     table.push(row.map(|(_, value)| value.map_or(Cell::Empty(()), Cell::from)).to_vec());
@@ -257,13 +262,25 @@ fn report(summary: &Table, context: &Context) {
         0.0 => String::new(),
         hidden => format!("; {hidden} more cannot be seen on this grid and are in no rate"),
     };
+    let outside = match count("outside") {
+        0.0 => String::new(),
+        outside => format!(
+            "; {outside} more detections of {} m3 lie where the grid has no value and are in no rate",
+            found::volume_text(count("outside_m3"))
+        ),
+    };
+    if count("outside") > count("true_positives") + count("false_positives") {
+        context.warn(
+            "most of the detections lie where the difference has no value, such as what a detector makes of places that one survey did not see: they count neither as true nor as false",
+        );
+    }
     if count("hidden") > count("found") + count("missed") {
         context.warn(
             "most of the true changes lie where the difference has no value: let blocks fall where the survey looks, such as in a zone that `crop-raster` cuts to a window (port `zone` of `remove-blocks`)",
         );
     }
     context.headline(format!(
-        "{} of {} changes found, {} false {}: precision {}, recall {}, F1 {}{hidden}",
+        "{} of {} changes found, {} false {}: precision {}, recall {}, F1 {}{hidden}{outside}",
         count("found"),
         count("found") + count("missed"),
         count("false_positives"),

@@ -21,6 +21,8 @@ const REFERENCE: u8 = 1;
 const COMPARISON: u8 = 2;
 /// A voxel is reached from outside, or was taken.
 const DONE: u8 = 4;
+/// A voxel is met by a triangle over a gap that was bridged.
+const BRIDGE: u8 = 8;
 
 /// The sides of the box around a surface, metres; `None` without points.
 pub fn size_m(artefact: &Artefact) -> Option<[f64; 3]> {
@@ -65,16 +67,25 @@ pub struct Cluster {
     pub inside: Vec<[usize; 3]>,
     /// Voxels around them, over edges and corners too.
     pub shell: usize,
+    /// Columns of voxels around its own ones, over edges and corners in plan.
+    pub rim: usize,
+    /// The share of its columns that a bridge over a gap crosses.
+    pub bridged: f64,
     /// Enclosed voxels in the rock of the reference only, and in that of the comparison only.
     pub under: [usize; 2],
 }
 
 impl Voxels {
-    /// Occupies the voxels that the triangles of both surfaces meet.
+    /// Occupies the voxels that the triangles of both surfaces meet; `bridged` says which places of each were gaps.
     ///
     /// # Errors
     /// Surfaces without points, or too many voxels.
-    pub fn new(shapes: [Shape; 2], moved: Option<&Moved>, edge_m: f64) -> Result<Self, StageError> {
+    pub fn new(
+        shapes: [Shape; 2],
+        bridged: [&[bool]; 2],
+        moved: Option<&Moved>,
+        edge_m: f64,
+    ) -> Result<Self, StageError> {
         let motions = [None, moved];
         let points = shapes
             .into_iter()
@@ -101,9 +112,14 @@ impl Voxels {
         let low = first.map(|index| index * edge_m);
         let mut voxels = Self { edge_m, low, count, flags: Vec::new() };
         let flags: Vec<AtomicU8> = (0..total as usize).map(|_| AtomicU8::new(0)).collect();
-        for ((shape, motion), bit) in shapes.into_iter().zip(motions).zip([REFERENCE, COMPARISON]) {
+        let sides = shapes.into_iter().zip(motions).zip(bridged).zip([REFERENCE, COMPARISON]);
+        for (((shape, motion), bridged), own) in sides {
             (0..shape.strips()).into_par_iter().for_each(|strip| {
-                shape.for_each_triangle(strip, |t| voxels.occupy(t.map(|p| shape.point(p, motion)), bit, &flags));
+                shape.for_each_triangle(strip, |t| {
+                    let is_bridge = t.iter().any(|place| bridged.get(*place).is_some_and(|is_bridged| *is_bridged));
+                    let bits = if is_bridge { own | BRIDGE } else { own };
+                    voxels.occupy(t.map(|p| shape.point(p, motion)), bits, &flags);
+                });
             });
         }
         voxels.flags = flags.into_iter().map(AtomicU8::into_inner).collect();
@@ -234,7 +250,18 @@ impl Voxels {
                 _ => {}
             }
         }
-        Cluster { inside, shell: shell.len(), under }
+        let columns = |places: &std::collections::BTreeSet<[usize; 3]>| -> std::collections::BTreeSet<[usize; 2]> {
+            places.iter().map(|[x, y, _]| [*x, *y]).collect()
+        };
+        let (within, all) = (columns(&own), columns(&shell));
+        let bridged = within.iter().filter(|column| self.is_bridged(**column)).count();
+        let bridged = bridged as f64 / within.len() as f64;
+        Cluster { inside, shell: shell.len(), rim: all.difference(&within).count(), bridged, under }
+    }
+
+    /// Whether a bridge over a gap crosses a column.
+    fn is_bridged(&self, [x, y]: [usize; 2]) -> bool {
+        (0..self.count[2]).any(|z| self.flags[self.place([x, y, z])] & BRIDGE != 0)
     }
 
     /// How often a line up from a voxel passes the reference and the comparison: runs of voxels that they occupy.
@@ -286,7 +313,7 @@ mod tests {
     }
 
     fn clusters(before: &Mesh, after: &Mesh) -> Vec<Cluster> {
-        Voxels::new([Shape::Mesh(before), Shape::Mesh(after)], None, 0.05).unwrap().enclosed().0
+        Voxels::new([Shape::Mesh(before), Shape::Mesh(after)], [&[], &[]], None, 0.05).unwrap().enclosed().0
     }
 
     #[test]
@@ -353,7 +380,7 @@ mod tests {
             triangles: moved.triangles,
             colours: Vec::new(),
         };
-        let voxels = Voxels::new([Shape::Mesh(&mesh), Shape::Mesh(&mesh)], None, 0.1).unwrap();
+        let voxels = Voxels::new([Shape::Mesh(&mesh), Shape::Mesh(&mesh)], [&[], &[]], None, 0.1).unwrap();
         // 10 x 8 x 6 voxels meet the box; all but the outer layer are inside it.
         let shell = 10 * 8 * 6 - 8 * 6 * 4;
         assert_eq!(voxels.occupied(), [shell; 3]);
@@ -374,18 +401,20 @@ mod tests {
     fn too_many_voxels_and_no_points_are_refused() {
         let plane = niche(0.0);
         let shape = Shape::Mesh(&plane);
-        assert!(Voxels::new([shape, shape], None, 1e-5).err().unwrap().message.contains("voxels of 0.00001 m"));
+        assert!(
+            Voxels::new([shape, shape], [&[], &[]], None, 1e-5).err().unwrap().message.contains("voxels of 0.00001 m")
+        );
         let empty = Mesh { vertices: Vec::new(), triangles: Vec::new(), ..plane.clone() };
-        assert!(Voxels::new([Shape::Mesh(&empty), Shape::Mesh(&empty)], None, 0.1).is_err());
+        assert!(Voxels::new([Shape::Mesh(&empty), Shape::Mesh(&empty)], [&[], &[]], None, 0.1).is_err());
     }
 
     #[test]
     fn a_value_that_is_no_height_is_refused() {
         let (near, mut far) = (niche(0.2), niche(0.2));
         far.vertices.iter_mut().for_each(|vertex| vertex[2] = -3.4e38);
-        let error = Voxels::new([Shape::Mesh(&near), Shape::Mesh(&far)], None, 0.05).err().unwrap();
+        let error = Voxels::new([Shape::Mesh(&near), Shape::Mesh(&far)], [&[], &[]], None, 0.05).err().unwrap();
         assert!(error.message.contains("3.4e38") && error.hint.unwrap().contains("no-data"), "{}", error.message);
-        let error = Voxels::new([Shape::Mesh(&far), Shape::Mesh(&far)], None, 0.05).err().unwrap();
+        let error = Voxels::new([Shape::Mesh(&far), Shape::Mesh(&far)], [&[], &[]], None, 0.05).err().unwrap();
         assert!(error.message.contains("3.4e38"));
     }
 }
