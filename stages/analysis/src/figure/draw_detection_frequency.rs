@@ -49,7 +49,7 @@ impl Stage for DrawDetectionFrequency {
         let mut axes = Axes::new(Axis::log("volume V, m\u{b3}"), Axis::log("number of volumes \u{2265} V"));
         for (number, (name, volumes)) in series.iter().enumerate() {
             let points: Vec<[f64; 2]> = power_law::curve(volumes).iter().map(|(v, n)| [*v, *n as f64]).collect();
-            let law = power_law::fit(volumes, None, params.least_count as usize);
+            let law = power_law::fit(volumes, None, None, params.least_count as usize);
             let told =
                 law.map_or(String::new(), |law| format!(", b = {:.2} \u{b1} {:.2}", law.exponent, law.standard_error));
             axes =

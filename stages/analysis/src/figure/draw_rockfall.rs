@@ -67,7 +67,7 @@ impl Stage for DrawRockfall {
         let requested = inputs.elements("requested").first().map(Element::artefact).transpose()?;
         let requested = requested.map(|rows| columns::magnitudes(rows, &params.requested_column));
         let requested_m3 = requested.transpose()?.map_or_else(Vec::new, |found| found.0);
-        let law = power_law::fit(&volumes, None, params.least_count as usize);
+        let law = power_law::fit(&volumes, None, None, params.least_count as usize);
         let title = params.title.clone();
         let figure = Figure { title, face: &face, grid, rockfalls, law, requested_m3 };
         let png = rockfall_figure::draw(&figure, params.width_px as usize);

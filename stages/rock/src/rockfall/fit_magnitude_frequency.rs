@@ -14,6 +14,8 @@ params! {
         column: String = "removed_m3".to_owned(),
         /// Smallest volume the law is fitted to, cubic metres; left out, the one at which law and volumes agree best.
         minimum_m3: Option<f64> = None; Range::Positive,
+        /// Largest volume there can be, cubic metres, such as that of simulated blocks; left out, the law has no upper end.
+        maximum_m3: Option<f64> = None; Range::Positive,
         /// Volumes the law is fitted to at least; of fewer only the curve is told.
         least_count: u32 = 10; Range::AtLeast(2.0),
     }
@@ -25,7 +27,7 @@ pub struct FitMagnitudeFrequency;
 impl Stage for FitMagnitudeFrequency {
     type Params = FitMagnitudeFrequencyParams;
     const NAME: &'static str = "fit-magnitude-frequency";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PAGE: Page = Page::new(include_str!("fit_magnitude_frequency.md"));
     const INPUTS: &'static [Port] =
         &[Port::one("volumes", &[Kind::Inventory, Kind::Table], "One volume a row, such as a ground truth.")];
@@ -46,7 +48,14 @@ impl Stage for FitMagnitudeFrequency {
         if without > 0 {
             context.note(format!("{without} rows have no positive number in `{}`", params.column));
         }
-        let Some(law) = power_law::fit(&volumes, params.minimum_m3, params.least_count as usize) else {
+        if let (Some(maximum), Some(largest)) = (params.maximum_m3, volumes.last())
+            && *largest > maximum * (1.0 + 1e-9)
+        {
+            return Err(StageError::new(format!("a volume of {largest} m3 is larger than `maximum_m3`, {maximum} m3"))
+                .hint("leave `maximum_m3` out where nothing bounds the volumes"));
+        }
+        let Some(law) = power_law::fit(&volumes, params.minimum_m3, params.maximum_m3, params.least_count as usize)
+        else {
             let why = why_not(&volumes, params);
             context.warn(&*why);
             context.headline(why);
@@ -87,6 +96,7 @@ table_row! {
         count_below: usize,
         ks_distance: Option<f64>,
         density_exponent: Option<f64>,
+        maximum_m3: Option<f64>,
     }
 }
 
@@ -99,6 +109,7 @@ fn fit_table(law: &PowerLaw) -> Table {
         count_below: law.below,
         ks_distance: Some(law.distance),
         density_exponent: Some(law.exponent + 1.0),
+        maximum_m3: law.maximum,
     };
     std::iter::once(fit).collect()
 }
@@ -114,6 +125,7 @@ fn no_law(volumes: &[f64], params: &FitMagnitudeFrequencyParams) -> Table {
         count_below: below,
         ks_distance: None,
         density_exponent: None,
+        maximum_m3: params.maximum_m3,
     };
     std::iter::once(fit).collect()
 }
