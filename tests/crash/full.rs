@@ -130,6 +130,30 @@ fn a_collection_makes_room_on_a_full_disk() {
 }
 
 #[test]
+fn a_collection_makes_room_on_a_full_disk_for_the_segments_of_what_stays() {
+    const OTHER: [&str; 6] = ["run", "p.yaml", "--jobs", "2", "--seed", "2"];
+    let Some(shim) = shim() else { return };
+    for kind in ["tmpfs", "ext4"] {
+        let Some(mounted) = Mounted::new(kind) else { continue };
+        let place = Place::at(&mounted.at);
+        place.succeed(&RUN).unwrap();
+        std::fs::remove_dir_all(place.path(".rockface/runs")).unwrap();
+        place.succeed(&OTHER).unwrap();
+        let expected = place.digests().unwrap();
+        fill(&mounted.at, 0);
+        let segments = || std::fs::read_dir(place.path(".rockface/store/segments")).unwrap().count();
+        let (before, count) = (free(&mounted.at), segments());
+        let mut command = place.command(&["store", "gc", "--unnamed"]);
+        Watched::new(&mut command, shim, place.root()).later(7200);
+        let out = command.output().unwrap();
+        assert!(out.status.success(), "{kind}: {}", String::from_utf8_lossy(&out.stderr));
+        assert!(free(&mounted.at) > before + (1 << 20) && segments() <= count, "{kind}");
+        std::fs::remove_file(mounted.at.join("filler")).unwrap();
+        place.goes_on(&OTHER, &expected).unwrap();
+    }
+}
+
+#[test]
 fn a_command_that_finds_no_room_for_its_files_leaves_none_of_them() {
     let Some(mounted) = Mounted::new("tmpfs") else { return };
     let place = Place::at(&mounted.at);

@@ -3,7 +3,7 @@
 use rockface_core::numerics::portable_math;
 
 /// A power law N(>= V) = n (V / V_min)^-b of the volumes from a smallest one up, or up to a largest one
-/// N(>= V) = n ((V / V_min)^-b - R^-b) / (1 - R^-b) with R = V_max / V_min.
+/// N(>= V) = n ((V / V_min)^-b - R^-b) / (1 - R^-b) with `R = V_max / V_min`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PowerLaw {
     /// Exponent b of the cumulative curve.
