@@ -93,7 +93,10 @@ impl Journal {
         let own = format!("-{:x}{}", std::process::id(), self.own_suffix());
         let begun = self.names().unwrap_or_default().into_iter().filter(|name| name.ends_with(&own));
         for name in begun.filter(|name| !before.contains(name)) {
-            let _ = std::fs::remove_file(self.path(&name));
+            // In another container a process may have the same number, and holds its own.
+            if let Ok(Some(_held)) = claim(&self.path(&name)) {
+                let _ = std::fs::remove_file(self.path(&name));
+            }
         }
     }
 

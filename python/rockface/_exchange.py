@@ -324,9 +324,11 @@ def _written_inventory(inventory: Inventory) -> bytes:
     if not isinstance(features, list | tuple):
         raise WrongOutputError("`geojson` is no feature collection: it has no list `features`")
     about = collection.get("rockface") or {}
-    properties = [dict(feature.get("properties") or {}) for feature in features]
+    if not all(isinstance(feature, Mapping) for feature in features) or not isinstance(about, Mapping):
+        raise WrongOutputError("`geojson` is no feature collection: a feature, or `rockface`, is no map")
+    properties = [{str(name): value for name, value in (feature.get("properties") or {}).items()} for feature in features]
     listed = [name for name in about.get("columns", []) if not properties or any(name in own for own in properties)]
-    columns = list(dict.fromkeys([*listed, *(str(name) for own in properties for name in own)]))
+    columns = list(dict.fromkeys([*listed, *(name for own in properties for name in own)]))
     kept = []
     for number, (feature, own) in enumerate(zip(features, properties, strict=True)):
         told = f"feature {number} (counted from 0)"
@@ -343,8 +345,12 @@ def _outline(geometry: Any, told: str) -> dict[str, Any] | None:
     kind = geometry.get("type") if isinstance(geometry, Mapping) else type(geometry).__name__
     if kind not in ("Polygon", "MultiPolygon"):
         raise WrongOutputError(f"the geometry of {told} is a {kind}; outlines are a Polygon, a MultiPolygon or nothing")
-    polygons = [geometry["coordinates"]] if kind == "Polygon" else geometry["coordinates"]
-    rings = [[[[float(place[0]), float(place[1])] for place in ring] for ring in polygon] for polygon in polygons]
+    given = geometry.get("coordinates", ())
+    polygons = [polygon for polygon in ([given] if kind == "Polygon" else given) if len(polygon)]
+    try:
+        rings = [[[[float(place[0]), float(place[1])] for place in ring] for ring in polygon] for polygon in polygons]
+    except (TypeError, ValueError, LookupError) as error:
+        raise WrongOutputError(f"the geometry of {told} has no rings of places: {error}") from error
     return {"type": "MultiPolygon", "coordinates": rings} if rings else None
 
 
@@ -353,9 +359,10 @@ def _inventory_frame(inventory: Inventory) -> str | dict[str, Any]:
     if inventory.georeference is not None:
         return inventory.written_frame()
     stated = (inventory.geojson.get("rockface") or {}).get("frame")
+    crs = inventory.geojson.get("crs")
     if isinstance(stated, dict) and stated.get("axes") == str(inventory.frame):
         return stated
-    named = str(((inventory.geojson.get("crs") or {}).get("properties") or {}).get("name", ""))
+    named = str((crs.get("properties") or {}).get("name", "")) if isinstance(crs, Mapping) else ""
     code = re.fullmatch(r"urn:ogc:def:crs:EPSG:[^:]*:(\d+)", named)
     if code and inventory.frame is Frame.WORLD:
         return {"axes": str(inventory.frame), "crs": f"EPSG:{code[1]}"}

@@ -73,7 +73,7 @@ def read(path: str | Path) -> Artefact:
     path = Path(path)
     ending = path.suffix.lower()
     if ending in OTHERS:
-        raise FormatError(f"{path.name} is read with {OTHERS[ending]}; beside it is the same as {BESIDE[ending]}")
+        raise FormatError(f"{path.name} is read with {OTHERS[ending]}; in a run folder the same is beside it as {BESIDE[ending]}")
     return decode(KINDS.get(ending, "file"), mapped(path))
 
 
@@ -92,7 +92,16 @@ def decode(kind: str, data: memoryview) -> Artefact:
         raise FormatError(f"unknown kind of artefact `{kind}`")
     try:
         return reader(data)
-    except (LookupError, ArithmeticError, AttributeError, TypeError, ValueError, MemoryError, tarfile.TarError) as error:
+    except (
+        LookupError,
+        ArithmeticError,
+        AttributeError,
+        TypeError,
+        ValueError,
+        MemoryError,
+        RecursionError,
+        tarfile.TarError,
+    ) as error:
         raise FormatError(f"the bytes are no {kind}: {error!r}") from error
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import importlib
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -158,6 +159,11 @@ def _shown() -> Progress:
     return _Line(sys.stderr) if sys.stderr.isatty() else _Warnings(sys.stderr)
 
 
+def printable(text: str) -> str:
+    """A text for a terminal: what that takes for a command, or what turns the direction of letters, is written out."""
+    return re.sub(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]", lambda found: f"\\u{ord(found[0]):04x}", text)
+
+
 class _Warnings:
     """Lines of what steps warn of."""
 
@@ -168,7 +174,7 @@ class _Warnings:
         if event.get("event") == "warning":
             self.count += 1
             if self.count <= WARNINGS:
-                self.stream.write(f"warning: {event['step']}: {event['text']}\n")
+                self.stream.write(printable(f"warning: {event['step']}: {event['text']}") + "\n")
         elif event.get("event") == "closed" and self.count > WARNINGS:
             self.stream.write(f"warning: {self.count - WARNINGS} more, in the `warnings` of the run\n")
 
@@ -187,7 +193,7 @@ class _Line:
     def __call__(self, event: Mapping[str, Any]) -> None:
         kind, now = event.get("event"), time.monotonic()
         if kind == "warning":
-            self.stream.write(f"\r\x1b[Kwarning: {event['step']}: {event['text']}\n")
+            self.stream.write("\r\x1b[K" + printable(f"warning: {event['step']}: {event['text']}") + "\n")
         elif kind == "closed":
             self.stream.write("\r\x1b[K")
         elif "total" in event and now - self.written > 0.1:

@@ -159,8 +159,13 @@ class Run:
             self.manifest: dict[str, Any] = json.loads(file.read_text())
         except (OSError, ValueError) as error:
             raise RockfaceError(f"{self.folder} is no run folder: {error}") from error
+        if not isinstance(self.manifest, dict):
+            raise RockfaceError(f"{file} is no manifest of a run")
         if self.manifest.get("format") != 1:
             raise RockfaceError(f"{file} has format {self.manifest.get('format')}; this version reads 1")
+        lacking = [key for key in ("pipeline", "finished", "status", "steps", "overrides") if key not in self.manifest]
+        if lacking:
+            raise RockfaceError(f"{file} is no manifest of a run: it has no `{lacking[0]}`")
         beside = self.folder.parent.parent / "store"
         named = Path(self.manifest.get("store") or beside)
         self.store = Path(store).resolve() if store else named if named.is_absolute() and _is_store(named) else beside
@@ -518,7 +523,7 @@ def find(run: str | Path = "latest", *, runs: str | Path | None = None, store: s
     links = [link for link in links if (link / "run.json").is_file()]
     if links:
         return Run(max(links, key=lambda link: link.lstat().st_mtime), store)
-    names = sorted({(one.folder.name, one.folder) for one in _all(folders, store)})
+    names = sorted({(path.name, path.resolve()) for path in _entries(folders)})
     meant = [pair for pair in names if pair[0] == str(run)] or [pair for pair in names if str(run) in pair[0]]
     if len(meant) == 1:
         return Run(meant[0][1], store)
@@ -534,11 +539,16 @@ def find(run: str | Path = "latest", *, runs: str | Path | None = None, store: s
     raise RockfaceError(f"`{run}` {told}")
 
 
+def _entries(folders: Sequence[Path]) -> list[Path]:
+    """The run folders in some folders."""
+    # The links `latest` and `latest-NAME` are further names of runs.
+    entries = (path for folder in folders if folder.is_dir() for path in folder.iterdir() if not path.is_symlink())
+    return [path for path in entries if (path / "run.json").is_file()]
+
+
 def _all(folders: Sequence[Path], store: str | Path | None) -> list[Run]:
     """All runs of some folders, oldest first; what cannot be read is left out."""
-    # The links `latest` and `latest-NAME` are further names of runs.
-    entries = [path for folder in folders if folder.is_dir() for path in folder.iterdir() if not path.is_symlink()]
-    known = [one for one in (_readable(path, store) for path in entries if (path / "run.json").is_file()) if one]
+    known = [one for one in (_readable(path, store) for path in _entries(folders)) if one]
     return sorted(known, key=lambda one: (str(one.manifest["finished"]), one.folder.name))
 
 

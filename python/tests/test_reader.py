@@ -159,6 +159,11 @@ def test_a_foreign_raster_is_metres_or_refused(tmp_path):
     raster = rockface.read(foreign(tmp_path / "i.tif", numbers, nodata=-9999))
     assert np.isnan(raster.values[0, 0])
     assert (raster.values[1, 1], raster.crs, raster.grid.transform) == (8, "EPSG:28356", (0.5, 0, 500_000, 0, -0.5, 6_000_000))
+    whole = np.full((64, 64), np.nan, np.float32)
+    whole[:16, :16] = 2.5
+    tiled = {"tiled": True, "blockxsize": 16, "blockysize": 16, "SPARSE_OK": "TRUE", "nodata": np.nan}
+    sparse = rockface.read(foreign(tmp_path / "sparse.tif", whole, **tiled))
+    assert np.array_equal(sparse.values, whole, equal_nan=True)
     for name, more, told in [
         ("degrees", {"crs": "EPSG:4326"}, "degrees"),
         ("feet", {"crs": "EPSG:2229"}, "not in metres"),

@@ -260,6 +260,24 @@ def test_runs_beside_pipelines_in_folders_are_found(folder, monkeypatch):
     assert len(none["face.mesh"].vertices) > 0
 
 
+def test_a_damaged_manifest_hides_no_other_run(pipeline):
+    run = rockface.run(pipeline, progress=False)
+    for number, text in enumerate(["[]", '{"format": 1}', '{"format": 1, "finished": "x"}', "{"]):
+        folder = run.folder.parent / f"2026-01-01T00000{number}Z-bad-0000000{number}"
+        folder.mkdir()
+        (folder / "run.json").write_text(text)
+        with pytest.raises(rockface.RockfaceError):
+            rockface.open(folder.name)
+    for name in ("latest", "quick", "quick.yaml", run.folder.name, run.folder.name[-8:]):
+        assert rockface.open(name).folder == run.folder
+
+
+def test_warnings_are_no_commands_to_a_terminal():
+    from rockface.running import printable
+
+    assert printable("ü\ta\x1b[2Jb\u202ec\x9b") == "ü\ta\\u001b[2Jb\\u202ec\\u009b"
+
+
 def test_an_error_comes_out_of_a_pool_as_it_was():
     import pickle
 

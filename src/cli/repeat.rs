@@ -25,25 +25,30 @@ impl PipelineArgs {
         let former = manifest(&self.pipeline)?;
         if let Some(former) = &former {
             let copied = former.copied_inputs(&self.pipeline);
-            let is_copy = copied.is_some();
+            let copy = copied.as_ref().map(|copied| copied.to.clone());
             take_over(self, former, copied);
-            if is_copy {
-                check_own_folder(&self.pipeline)?;
+            if let Some(copy) = copy {
+                check_own_folder(&self.pipeline, &copy)?;
             }
         }
         Ok(former)
     }
 }
 
-/// Refuses an extracted archive that has a link where the folder of its pipeline is to be made: results would go where that leads.
-fn check_own_folder(pipeline: &Path) -> Result<(), CliError> {
+/// Refuses an extracted archive that has a link on the way to the folder of its pipeline, or in it: results would go where that leads.
+fn check_own_folder(pipeline: &Path, copy: &Path) -> Result<(), CliError> {
     let own = super::beside(pipeline);
-    let places = [own.clone(), own.join("runs"), own.join("store")];
-    let Some(link) = places.iter().find(|place| place.is_symlink()) else { return Ok(()) };
-    let link = link.display();
-    Err(CliError::Usage(format!(
-        "{link}, which came with the archive, is a link: remove it, or extract the archive anew"
-    )))
+    let places = [own.join("runs"), own.join("store"), own];
+    let is_inside = |place: &&PathBuf| {
+        // What is not there yet is made where the folder around it is.
+        let there = place.ancestors().find(|path| path.symlink_metadata().is_ok());
+        let real = there.and_then(|path| std::fs::canonicalize(path).ok()).zip(std::fs::canonicalize(copy).ok());
+        !place.is_symlink() && real.is_some_and(|(real, copy)| real.starts_with(copy))
+    };
+    let Some(outside) = places.iter().find(|place| !is_inside(place)) else { return Ok(()) };
+    let (outside, copy) = (outside.display(), copy.display());
+    let told = format!("{outside} leads out of {copy}, which came with the archive, by a link");
+    Err(CliError::Usage(format!("{told}: remove it, or extract the archive anew")))
 }
 
 /// Turns arguments that name a manifest into those of its run; what is given besides comes on top. Where an extracted archive

@@ -149,9 +149,18 @@ steps:
     std::fs::create_dir(&home).unwrap();
     std::os::unix::fs::symlink(&home, &own).unwrap();
     let (code, _, err) = elsewhere.rockface(&["run", "run.json"]);
-    assert!(code == Some(2) && err.contains(".rockface, which came with the archive, is a link"), "{code:?} {err}");
+    assert!(code == Some(2) && err.contains("which came with the archive, by a link"), "{code:?} {err}");
     assert_eq!(std::fs::read_dir(&home).unwrap().count(), 0);
     std::fs::remove_file(&own).unwrap();
+    // A link higher up leads out just as well.
+    let (folder, aside) = (elsewhere.path("inputs/site/pipelines"), elsewhere.path("aside"));
+    std::fs::rename(&folder, &aside).unwrap();
+    std::os::unix::fs::symlink(&aside, &folder).unwrap();
+    let (code, _, err) = elsewhere.rockface(&["run", "run.json"]);
+    assert!(code == Some(2) && err.contains("which came with the archive, by a link"), "{code:?} {err}");
+    assert!(!aside.join(".rockface").exists());
+    std::fs::remove_file(&folder).unwrap();
+    std::fs::rename(&aside, &folder).unwrap();
     let (code, out, err) = elsewhere.rockface(&["run", "run.json"]);
     assert!(code == Some(0) && out.contains("all 3 outputs are the same: 3 steps were computed again"), "{out}{err}");
     // So is the repetition, an archive of it too, and the pipeline runs by its file where it names its files relative to itself.

@@ -371,5 +371,6 @@ fn a_file_called_latest_stays() {
     let (code, _, told) = house.rockface(&["run", "p.yaml", "--runs", "elsewhere", "-q"]);
     assert_eq!(code, Some(3), "{told}");
     assert!(told.contains("latest") && told.contains("stays as it is"), "{told}");
+    assert_eq!(fs::read_dir(&runs).unwrap().count(), 1, "before any work is done");
     assert_eq!(fs::read_to_string(runs.join("latest")).unwrap(), "my notes");
 }

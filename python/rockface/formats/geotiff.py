@@ -23,8 +23,6 @@ WIDTH, HEIGHT, BITS, COMPRESSION, STRIPS, SAMPLES, ROWS = 256, 257, 258, 259, 27
 STRIP_BYTES, PLANAR, PREDICTOR, TILE_WIDTH, TILE_HEIGHT = 279, 284, 317, 322, 323
 TILES, TILE_BYTES, FORMAT, SCALE, TIEPOINT, KEYS = 324, 325, 339, 33550, 33922, 34735
 METADATA, NODATA = 42112, 42113
-OWN = '<Item name="QUANTITY">'
-"""Metadata of the files that rockface writes."""
 MODEL, PROJECTED_MODEL, LENGTH_UNIT, METRE = 1024, 1, 3076, 9001
 MOST_EXPANSION = 1400
 """No compression that is read here expands further."""
@@ -47,7 +45,7 @@ def read(data: memoryview) -> Raster:
     """
     try:
         directory = _directory(data)
-        bands = _bands(data, _Layout(directory))
+        bands = _bands(data, _Layout(directory), directory.text(NODATA).strip())
     except (struct.error, zlib.error, KeyError, IndexError, ValueError) as error:
         raise FormatError(f"damaged GeoTIFF: {error!r}") from error
     return _raster(directory, bands)
@@ -132,7 +130,7 @@ class _Layout:
             yield number, band, row * self.height, column * self.width
 
 
-def _bands(data: memoryview, layout: _Layout) -> Array:
+def _bands(data: memoryview, layout: _Layout, nodata: str) -> Array:
     size = layout.samples * layout.rows * layout.columns * layout.dtype.itemsize
     if size > MOST_EXPANSION * len(data):
         raise FormatError(f"damaged GeoTIFF: {layout.rows} x {layout.columns} x {layout.samples} values in {len(data)} bytes")
@@ -140,6 +138,11 @@ def _bands(data: memoryview, layout: _Layout) -> Array:
     for number, band, top, left in layout.chunks():
         height = layout.height if layout.tiled else min(layout.height, layout.rows - top)
         start, length = layout.offsets[number], layout.lengths[number]
+        if length == 0:
+            if not nodata:
+                raise FormatError(f"the TIFF leaves tiles out and has no no-data value: {OTHER}")
+            bands[band : band + layout.per_chunk, top : top + height, left : left + layout.width] = float(nodata)
+            continue
         raw = bytes(data[start : start + length])
         if layout.compression != 1:
             raw = zlib.decompress(raw)
@@ -178,8 +181,7 @@ def _raster(directory: _Directory, bands: Array) -> Raster:
     if abs(scale_x - scale_y) > 1e-9 * abs(scale_x):
         raise FormatError(f"cells must be square; this file has {scale_x} by {scale_y}: {OTHER}")
     keys = tags.get(KEYS, ())
-    if OWN not in metadata:
-        _check_foreign(metadata, keys)
+    _check_metres(metadata, keys)
     entries = {tuple(keys[at : at + 4]) for at in range(4, len(keys), 4)}
     half = 0.5 * scale_x if PIXEL_IS_POINT in entries else 0.0
     left, top = x - column * scale_x - half, y + row * scale_y + half
@@ -194,8 +196,8 @@ def _raster(directory: _Directory, bands: Array) -> Raster:
     return Raster(grid, frame, _item(metadata, "QUANTITY") or "value", named, place)
 
 
-def _check_foreign(metadata: str, keys: tuple[Any, ...]) -> None:
-    """Refuses a file of another program whose numbers are not metres as they stand."""
+def _check_metres(metadata: str, keys: tuple[Any, ...]) -> None:
+    """Refuses a file, as other programs write them, whose numbers are not metres as they stand."""
     stated = {keys[at]: keys[at + 3] for at in range(4, len(keys) - 3, 4) if keys[at + 1] == 0}
     if stated.get(MODEL, PROJECTED_MODEL) not in (PROJECTED_MODEL, USER_DEFINED, 0):
         raise FormatError(f"its coordinates are degrees, not metres: {IMPORT}")

@@ -149,7 +149,10 @@ fn listed(values: &str, span: Span) -> Result<Vec<Node>, String> {
     let mut nodes = Vec::new();
     let parts = between_commas(values);
     if let Some(number) = parts.windows(2).find_map(|pair| with_decimal_comma(pair[0], pair[1])) {
-        return Err(format!("commas part the values here: numbers are written with a point, {number}"));
+        return Err(format!(
+            "commas part the values here: numbers are written with a point, {number}, and texts of digits in quotes, \"{}\"",
+            number.rsplit('.').next().unwrap_or_default()
+        ));
     }
     for value in parts {
         let place = Span { start: at, end: at + value.len(), ..span };
@@ -171,7 +174,9 @@ fn with_decimal_comma(whole: &str, fraction: &str) -> Option<String> {
     let (whole, fraction) = (whole.trim(), fraction.trim());
     let is_digits = |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
     let is_fraction = fraction.starts_with('0') && fraction.len() > 1 && is_digits(fraction);
-    let is_whole = is_digits(whole.trim_start_matches(['+', '-']));
+    // Where the first part has a zero in front too, these are labels, such as months.
+    let digits = whole.trim_start_matches(['+', '-']);
+    let is_whole = is_digits(digits) && (digits == "0" || !digits.starts_with('0'));
     (is_whole && is_fraction).then(|| format!("{whole}.{fraction}"))
 }
 
@@ -251,6 +256,7 @@ mod tests {
         );
         assert!(swept("seed: 1", "a=-1e308..1e308:3").contains("wider"));
         assert!(swept("seed: 1", "a=0,05,0,1").contains("with a point, 0.05"));
+        assert_eq!(swept("seed: 1", r#"m=01,02,"03""#).matches("with a point").count(), 0);
         assert_eq!(swept("seed: 1", "a=3..2:3"), r#"{"axes":{"a":{"values":[3,2.5,2]}},"seed":1}"#);
         assert_eq!(
             swept("params: {s: {type: text}}", "s=1.0,1e3,true"),

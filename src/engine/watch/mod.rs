@@ -117,7 +117,12 @@ pub fn printable(text: &str) -> Cow<'_, str> {
     if !text.contains(is_command) {
         return text.into();
     }
-    let written = |letter: char| if is_command(letter) { letter.escape_default().to_string() } else { letter.into() };
+    let written = |letter: char| match letter {
+        // As JSON has it too, of which this may be a line: it writes out control characters by itself, and not these.
+        _ if turns(letter) => format!("\\u{:04x}", u32::from(letter)),
+        _ if is_command(letter) => letter.escape_default().to_string(),
+        _ => letter.into(),
+    };
     text.chars().map(written).collect::<String>().into()
 }
 
@@ -179,6 +184,11 @@ mod tests {
     #[test]
     fn nothing_is_said_that_a_terminal_takes_for_a_command() {
         assert_eq!(super::printable("a\tb\nü"), "a\tb\nü");
+        let turned = serde_json::json!({"text": "a\u{202e}b\u{2066}"}).to_string();
+        let shown = super::printable(&turned);
+        assert_eq!(shown, r#"{"text":"a\u202eb\u2066"}"#);
+        let read: serde_json::Value = serde_json::from_str(&shown).unwrap();
+        assert_eq!(read["text"], "a\u{202e}b\u{2066}");
         assert_eq!(super::printable("\u{1b}]0;title\u{7}\rend\u{9b}2J"), "\\u{1b}]0;title\\u{7}\\rend\\u{9b}2J");
     }
 

@@ -36,8 +36,13 @@ pub fn between_cells(raster: &Raster) -> Result<Surface, StageError> {
 
 /// Elevations by row with their narrow gaps bridged: a cell without a value (NaN) between two with one in its row or in its column, with at
 /// most `most` cells without a value between them, lies on the straight line from the one to the other; where both do, on the mean of
-/// both lines, the shorter one with more weight. All other cells stay as they are.
+/// both lines, the shorter one with more weight. Then the same once more, for corners of gaps, which lie on no such line. All other cells stay
+/// as they are.
 pub fn bridged(values: &[f32], columns: usize, most: usize) -> Vec<f32> {
+    bridged_once(&bridged_once(values, columns, most), columns, most)
+}
+
+fn bridged_once(values: &[f32], columns: usize, most: usize) -> Vec<f32> {
     let mut sums = vec![[0.0f64; 2]; if most == 0 { 0 } else { values.len() }];
     if sums.is_empty() || values.iter().all(|z| !z.is_nan()) {
         return values.to_vec();
@@ -56,7 +61,7 @@ fn add_lines(values: &[f32], first: usize, step: usize, count: usize, most: usiz
     let mut last = None;
     for at in (0..count).filter(|at| !values[first + at * step].is_nan()) {
         let height = |at: usize| f64::from(values[first + at * step]);
-        if let Some(last) = last.replace(at).filter(|last| (2..=most + 1).contains(&(at - last))) {
+        if let Some(last) = last.replace(at).filter(|last| (2..=most.saturating_add(1)).contains(&(at - last))) {
             let apart = (at - last) as f64;
             for between in last + 1..at {
                 let share = (between - last) as f64 / apart;
@@ -80,6 +85,17 @@ mod tests {
         assert_eq!(shown(bridged(&[1.0, gap, gap, 4.0, gap], 5, 2)), "[1.0, 2.0, 3.0, 4.0, NaN]");
         assert_eq!(shown(bridged(&[1.0, gap, gap, 4.0], 4, 1)), "[1.0, NaN, NaN, 4.0]");
         assert_eq!(shown(bridged(&[1.0, gap, 3.0], 1, 0)), "[1.0, NaN, 3.0]");
+        // A ring of two cells around a niche: its corners lie on lines of bridged cells only.
+        let is_ring = |at: usize| (2..10).contains(&at);
+        let is_niche = |at: usize| (4..8).contains(&at);
+        let ring: Vec<f32> = (0..144)
+            .map(|cell| (cell % 12, cell / 12))
+            .map(|(x, y)| match (is_ring(x) && is_ring(y), is_niche(x) && is_niche(y)) {
+                (true, false) => gap,
+                (_, is_niche) => f32::from(u8::from(is_niche)),
+            })
+            .collect();
+        assert_eq!(bridged(&ring, 12, 2).iter().filter(|z| z.is_nan()).count(), 0);
         // One cell apart in the column, three in the row: weights of a half and a quarter.
         let mut cross = vec![gap; 15];
         (cross[5], cross[9], cross[2], cross[12]) = (0.0, 8.0, 1.0, 1.0);

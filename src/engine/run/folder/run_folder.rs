@@ -60,6 +60,8 @@ impl RunFolder<'_> {
     pub fn prepare(&self) -> Result<(), RunError> {
         std::fs::create_dir_all(self.runs).map_err(failed(self.runs))?;
         unfinished::sweep(self.runs);
+        let of_pipeline = format!("latest-{}", readable_name(&self.pipeline.document.name));
+        ["latest", &of_pipeline].iter().try_for_each(|link| check_link(&self.runs.join(link)))?;
         tempfile::tempfile_in(self.runs).map(drop).map_err(failed(self.runs))
     }
 }
@@ -407,14 +409,20 @@ pub(super) fn point_latest(runs: &Path, folder: &Path) -> Result<(), RunError> {
     point(runs, &runs.join("latest"), &target)
 }
 
-fn point(runs: &Path, latest: &Path, target: &Path) -> Result<(), RunError> {
-    if std::fs::read_link(latest).is_ok_and(|now| now == *target) {
-        return Ok(());
-    }
+/// Refuses what somebody else has put in the place of a link to a run.
+fn check_link(latest: &Path) -> Result<(), RunError> {
     if std::fs::symlink_metadata(latest).is_ok_and(|meta| !meta.is_symlink()) {
         let told = "it is no link of rockface and stays as it is: give it another name, or the runs another folder";
         return Err(failed(latest)(std::io::Error::new(std::io::ErrorKind::AlreadyExists, told)));
     }
+    Ok(())
+}
+
+fn point(runs: &Path, latest: &Path, target: &Path) -> Result<(), RunError> {
+    if std::fs::read_link(latest).is_ok_and(|now| now == *target) {
+        return Ok(());
+    }
+    check_link(latest)?;
     let staged = runs.join(format!("{}{}", unfinished::STAGED, std::process::id()));
     loop {
         let _ = std::fs::remove_file(&staged);

@@ -155,8 +155,13 @@ pub fn sync_all(folder: &Path) -> Result<(), RunError> {
     }
     std::thread::scope(|scope| {
         let parts = paths.chunks(paths.len().div_ceil(SYNCED_AT_ONCE));
-        let syncing: Vec<_> = parts.map(|part| scope.spawn(move || sync_some(part))).collect();
-        let done = syncing.into_iter().map(|one| one.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)));
+        let start = |part| std::thread::Builder::new().spawn_scoped(scope, move || sync_some(part)).map_err(|_| part);
+        let syncing: Vec<_> = parts.map(start).collect();
+        let done = syncing.into_iter().map(|one| match one {
+            Ok(thread) => thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)),
+            // Where the system gives no further thread, this one does it.
+            Err(part) => sync_some(part),
+        });
         done.fold(Ok(()), Result::and)
     })
 }

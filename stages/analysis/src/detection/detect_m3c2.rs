@@ -19,6 +19,8 @@ use rockface_raster::shape::{Moved, Shape};
 
 /// Surface under a cell is plan area over the normal's Z; below this the cell is taken as no steeper.
 const STEEPEST: f64 = 0.2;
+/// The least share of distance times area that a volume is taken to have.
+const LEAST_SHARE: f64 = 0.2;
 
 params! {
     /// Parameters of `detect-m3c2`.
@@ -141,26 +143,24 @@ fn detect(params: &DetectM3c2Params, grid: &Grid, distances: &[Option<Distance>]
 }
 
 fn cluster(grid: &Grid, cells: &[usize], distances: &[Option<Distance>], limit: impl Fn(&Distance) -> f64) -> Found {
-    let (mut volume, mut deviation, mut sum, mut deepest, mut score) = (0.0, 0.0, 0.0, 0.0f64, 0.0f64);
+    let (mut straight, mut swept, mut deviation) = (0.0, 0.0, 0.0);
+    let (mut sum, mut deepest, mut score) = (0.0, 0.0f64, 0.0f64);
     let (mut points, mut moment) = (Vec::with_capacity(8 * cells.len()), Vector3::zeros());
     let known = cells.iter().filter_map(|cell| Some((*cell, distances[*cell].as_ref()?)));
     for (cell, found) in known {
         let area = grid.cell_m * grid.cell_m / found.normal[2].max(STEEPEST);
         let size = found.distance_m.abs();
-        let swept = area * size * m3c2::area_share(distances, cell, grid.columns);
-        volume += swept;
-        moment += swept * (Vector3::from(found.core) + 0.5 * found.distance_m * Vector3::from(found.normal));
+        straight += area * size;
+        swept += area * size * m3c2::area_share(distances, cell, grid.columns);
+        moment += area * size * (Vector3::from(found.core) + 0.5 * found.distance_m * Vector3::from(found.normal));
         deviation += area * limit(found) / NORMAL_95;
         sum += size;
         deepest = deepest.max(size);
         score = score.max(size / limit(found));
         points.extend(raster::corners(found.core, found.normal, found.distance_m, 0.5 * grid.cell_m));
     }
-    // Where lines along normals cross, their areas count the other way round: of few cells it can be all.
-    let volume = volume.max(0.0);
-    let middle =
-        || points.iter().fold(Vector3::zeros(), |sum, point| sum + Vector3::from(*point)) / points.len() as f64;
-    let centroid = if volume > 0.0 { moment / volume } else { middle() };
+    // Shares of single cells are uncertain, those of all together are not; of a few noisy cells they may be anything.
+    let volume = swept.clamp(LEAST_SHARE * straight, m3c2::MOST_SHARE * straight);
     Found {
         cells: cells.iter().map(|cell| (cell / grid.columns, cell % grid.columns)).collect(),
         area_m2: None,
@@ -169,7 +169,7 @@ fn cluster(grid: &Grid, cells: &[usize], distances: &[Option<Distance>], limit: 
         depth_max_m: deepest,
         depth_mean_m: sum / cells.len().max(1) as f64,
         score,
-        centroid_m: centroid.into(),
+        centroid_m: (moment / straight).into(),
         points,
     }
 }
@@ -241,7 +241,7 @@ fn report(
     Ok(())
 }
 
-/// Core points of a patch, at least, and the share of all measured ones, beyond the depth, that are worth a warning.
+/// Core points of a patch without a point of the comparison that is worth a warning, at least.
 const PATCH_CORES: usize = 30;
 
 /// Says where a patch of core points has no point of the comparison within reach, as under a rockfall that is deeper than the cylinders.

@@ -19,7 +19,7 @@ use rockface_raster::shape::{Moved, Shape};
 const OPEN_VOXELS: usize = 27;
 const OPEN_SHARE: f64 = 0.25;
 
-/// The greatest share of columns under bridges that a change may have: beyond, what encloses it was not seen but drawn.
+/// The greatest share of points that were gaps that a change may have: beyond, what encloses it was not seen but drawn.
 const MOST_BRIDGED: f64 = 0.5;
 /// Voxels across the widest gap that is bridged, unless a width is said.
 const BRIDGED_VOXELS: f64 = 5.0;
@@ -284,6 +284,28 @@ mod tests {
             assert!(found(with(before), with(after), change).0.features.is_empty(), "{change}");
         }
         assert_eq!(found(with(0.01), with(-0.2), "loss").0.features.len(), 1);
+    }
+
+    #[test]
+    fn a_niche_with_single_gaps_or_a_ring_of_them_is_found() {
+        let whole = elevations(0.12);
+        let missing = |is_gap: fn(usize, usize) -> bool| {
+            let mut after = whole.clone();
+            for (cell, z) in after.bands[0].values.iter_mut().enumerate() {
+                *z = if is_gap(cell % 60, cell / 60) { f32::NAN } else { *z };
+            }
+            after
+        };
+        let single = missing(|x, y| (7 * x + 11 * y) % 13 == 0);
+        // The niche has the columns 20 to 39 and the rows 20 to 29.
+        let ring = missing(|x, y| {
+            (18..42).contains(&x) && (18..32).contains(&y) && !((20..40).contains(&x) && (20..30).contains(&y))
+        });
+        for after in [single, ring] {
+            let made = found(elevations(0.0), after, "loss").0;
+            let volume = made.numbers("volume_m3").unwrap().into_iter().flatten().sum::<f64>();
+            assert!(made.features.len() == 1 && (volume / (0.4 * 0.2 * 0.12) - 1.0).abs() < 0.35, "{volume}");
+        }
     }
 
     #[test]

@@ -10,7 +10,7 @@ use super::cloud::{Cloud, Cylinder, Stack};
 use super::limit::NORMAL_95;
 
 /// The most by which an area grows on its way, in size: noise of normals and distances would give a few cells more.
-const MOST_SHARE: f64 = 3.0;
+pub const MOST_SHARE: f64 = 3.0;
 /// Core points that are one task.
 const CORES_AT_A_TIME: usize = 256;
 
@@ -150,11 +150,15 @@ pub fn area_share(distances: &[Option<Distance>], cell: usize, columns: usize) -
     let known = |cell: usize| distances.get(cell)?.as_ref().filter(|found| !found.distance_m.is_nan());
     let Some(own) = known(cell) else { return 1.0 };
     let (row, column) = (cell / columns, cell % columns);
-    let beside = |is_inside: bool, cell: usize| if is_inside { known(cell).unwrap_or(own) } else { own };
-    let left = beside(column > 0, cell.wrapping_sub(1));
-    let right = beside(column + 1 < columns, cell + 1);
-    let above = beside(row > 0, cell.wrapping_sub(columns));
-    let below = beside(true, cell + columns);
+    let beside = |is_inside: bool, cell: usize| if is_inside { known(cell) } else { None };
+    let around = [
+        beside(column > 0, cell.wrapping_sub(1)),
+        beside(column + 1 < columns, cell + 1),
+        beside(row > 0, cell.wrapping_sub(columns)),
+        beside(true, cell + columns),
+    ];
+    // With a neighbour on one side only, the place of the core point in its cell would count.
+    let [Some(left), Some(right), Some(above), Some(below)] = around else { return 1.0 };
     let normal = Vector3::from(own.normal);
     let area = |share: f64| {
         let at = |found: &Distance| Vector3::from(found.core) + share * found.distance_m * Vector3::from(found.normal);
@@ -162,7 +166,6 @@ pub fn area_share(distances: &[Option<Distance>], cell: usize, columns: usize) -
     };
     let [start, middle, end] = [0.0, 0.5, 1.0].map(area);
     let mean = (start + 4.0 * middle + end) / 6.0;
-    // Without neighbours on one axis nothing is known of the area.
     if start > 0.0 { (mean / start).clamp(-MOST_SHARE, MOST_SHARE) } else { 1.0 }
 }
 

@@ -192,7 +192,9 @@ fn report(table: &Table, settings: usize, has_intervals: bool, context: &Context
         outside => format!("; {outside} more detections lie where the grid has no value and are in no rate"),
     };
     let fewest = (0..table.rows.len()).filter_map(|row| value(row, "epochs")).fold(f64::INFINITY, f64::min);
-    if fewest < FEW_EPOCHS && has_intervals {
+    if fewest < 2.0 && has_intervals {
+        context.warn("a rate of one epoch has no interval: take 20 epochs or more");
+    } else if fewest < FEW_EPOCHS && has_intervals {
         context.warn(format!(
             "intervals over {fewest} epochs are too narrow: of 2, 5 and 10 epochs, intervals of 95 % hold the true rate in about 70, 85 and 90 %; take 20 or more"
         ));

@@ -21,8 +21,6 @@ const REFERENCE: u8 = 1;
 const COMPARISON: u8 = 2;
 /// A voxel is reached from outside, or was taken.
 const DONE: u8 = 4;
-/// A voxel is met by a triangle over a gap that was bridged.
-const BRIDGE: u8 = 8;
 
 /// The sides of the box around a surface, metres; `None` without points.
 pub fn size_m(artefact: &Artefact) -> Option<[f64; 3]> {
@@ -58,6 +56,8 @@ pub struct Voxels {
     /// Voxels along X, Y and Z.
     pub count: [usize; 3],
     flags: Vec<u8>,
+    /// By column, of the reference and of the comparison, how many points lie there and how many of them were gaps; empty without gaps.
+    seen: [Vec<[u32; 2]>; 2],
 }
 
 /// Enclosed voxels that touch.
@@ -69,7 +69,7 @@ pub struct Cluster {
     pub shell: usize,
     /// Columns of voxels around its own ones, over edges and corners in plan.
     pub rim: usize,
-    /// The share of its columns that a bridge over a gap crosses.
+    /// The share of the points of the reference or of the comparison over its columns, whichever is more, that were gaps.
     pub bridged: f64,
     /// Enclosed voxels in the rock of the reference only, and in that of the comparison only.
     pub under: [usize; 2],
@@ -110,20 +110,39 @@ impl Voxels {
         }
         let count = size.map(|length| length as usize);
         let low = first.map(|index| index * edge_m);
-        let mut voxels = Self { edge_m, low, count, flags: Vec::new() };
+        let mut voxels = Self { edge_m, low, count, flags: Vec::new(), seen: Default::default() };
         let flags: Vec<AtomicU8> = (0..total as usize).map(|_| AtomicU8::new(0)).collect();
-        let sides = shapes.into_iter().zip(motions).zip(bridged).zip([REFERENCE, COMPARISON]);
-        for (((shape, motion), bridged), own) in sides {
+        for ((shape, motion), bit) in shapes.into_iter().zip(motions).zip([REFERENCE, COMPARISON]) {
             (0..shape.strips()).into_par_iter().for_each(|strip| {
-                shape.for_each_triangle(strip, |t| {
-                    let is_bridge = t.iter().any(|place| bridged.get(*place).is_some_and(|is_bridged| *is_bridged));
-                    let bits = if is_bridge { own | BRIDGE } else { own };
-                    voxels.occupy(t.map(|p| shape.point(p, motion)), bits, &flags);
-                });
+                shape.for_each_triangle(strip, |t| voxels.occupy(t.map(|p| shape.point(p, motion)), bit, &flags));
             });
         }
         voxels.flags = flags.into_iter().map(AtomicU8::into_inner).collect();
+        let sides = shapes.into_iter().zip(motions).zip(bridged);
+        voxels.seen = std::array::from_fn(|_| Vec::new());
+        let seen: Vec<Vec<[u32; 2]>> =
+            sides.map(|((shape, motion), gaps)| voxels.seen_of(shape, motion, gaps)).collect();
+        if let Ok(seen) = seen.try_into() {
+            voxels.seen = seen;
+        }
         Ok(voxels)
+    }
+
+    /// By column, how many points of a surface lie there and how many of them were gaps; nothing where it had none.
+    fn seen_of(&self, shape: Shape, motion: Option<&Moved>, gaps: &[bool]) -> Vec<[u32; 2]> {
+        if !gaps.contains(&true) {
+            return Vec::new();
+        }
+        let mut seen = vec![[0; 2]; self.count[0] * self.count[1]];
+        for (place, is_gap) in gaps.iter().enumerate() {
+            let point = shape.point(place, motion);
+            if !point[0].is_nan() {
+                let at: [usize; 2] = std::array::from_fn(|k| ((point[k] - self.low[k]) / self.edge_m) as usize);
+                let [points, missing] = &mut seen[at[1] * self.count[0] + at[0]];
+                (*points, *missing) = (*points + 1, *missing + u32::from(*is_gap));
+            }
+        }
+        seen
     }
 
     /// The voxel at a place.
@@ -254,14 +273,13 @@ impl Voxels {
             places.iter().map(|[x, y, _]| [*x, *y]).collect()
         };
         let (within, all) = (columns(&own), columns(&shell));
-        let bridged = within.iter().filter(|column| self.is_bridged(**column)).count();
-        let bridged = bridged as f64 / within.len() as f64;
+        let bridged = self.seen.iter().map(|seen| {
+            let places = within.iter().filter_map(|[x, y]| seen.get(y * self.count[0] + x));
+            let [points, gaps] = places.fold([0; 2], |[points, gaps], [more, missing]| [points + more, gaps + missing]);
+            if points > 0 { f64::from(gaps) / f64::from(points) } else { 0.0 }
+        });
+        let bridged = bridged.fold(0.0, f64::max);
         Cluster { inside, shell: shell.len(), rim: all.difference(&within).count(), bridged, under }
-    }
-
-    /// Whether a bridge over a gap crosses a column.
-    fn is_bridged(&self, [x, y]: [usize; 2]) -> bool {
-        (0..self.count[2]).any(|z| self.flags[self.place([x, y, z])] & BRIDGE != 0)
     }
 
     /// How often a line up from a voxel passes the reference and the comparison: runs of voxels that they occupy.

@@ -43,7 +43,7 @@ pub fn check_header(bytes: &[u8]) -> Result<(), CodecError> {
         return Err(damaged(&format!("its header promises {points} points, but the file ends after {held}")));
     }
     if !is_compressed {
-        check_none_left(&head, points, data.len() as u64)?;
+        check_none_left(&head, points, data)?;
     }
     affordable(&format!("LAS file: {points} points"), points.checked_mul(POINT_MEMORY_BYTES))?;
     head.evlr.map_or(Ok(()), |evlr| check_extended(bytes, evlr.start_of_first_evlr))
@@ -51,12 +51,16 @@ pub fn check_header(bytes: &[u8]) -> Result<(), CodecError> {
 
 /// Refuses a header that counts fewer points than the file holds before its extended records and waveforms: the others would be missing
 /// without a word.
-fn check_none_left(head: &raw::Header, points: u64, data: u64) -> Result<(), CodecError> {
+fn check_none_left(head: &raw::Header, points: u64, data: &[u8]) -> Result<(), CodecError> {
     let start = u64::from(head.offset_to_point_data);
     let after = [head.evlr.map(|evlr| evlr.start_of_first_evlr), head.start_of_waveform_data_packet_record];
-    let end = after.into_iter().flatten().filter(|at| *at > start).map(|at| at - start).fold(data, u64::min);
-    let held = end / u64::from(head.point_data_record_length).max(1);
-    if held > points {
+    let end =
+        after.into_iter().flatten().filter(|at| *at > start).map(|at| at - start).fold(data.len() as u64, u64::min);
+    let record = u64::from(head.point_data_record_length).max(1);
+    let held = end / record;
+    // Some programs fill the last block of a file with zeros.
+    let rest = &data[(points * record).min(end) as usize..end as usize];
+    if held > points && rest.iter().any(|byte| *byte != 0) {
         return Err(too_few(points, held));
     }
     Ok(())

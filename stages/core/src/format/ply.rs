@@ -72,7 +72,7 @@ pub(super) trait Source {
     /// How many rows of at least so many numbers, or bytes in a binary file, the rest may hold, so that no header alone
     /// makes us allocate.
     fn held(&self, least_row: (usize, usize)) -> usize;
-    /// How many bytes follow, but for white space at the end.
+    /// How many bytes follow; none where they are blank.
     fn left(&self) -> usize;
     /// Reads the next rows of an element, at least one and at most so many, into one column for each property; returns how many.
     /// A list leaves a zero.
@@ -121,7 +121,7 @@ impl Source for Ascii<'_> {
         (self.rest.len() + 1).checked_div(2 * numbers).unwrap_or(usize::MAX)
     }
     fn left(&self) -> usize {
-        self.rest.trim_ascii().len()
+        not_blank(self.rest)
     }
     fn columns(&mut self, element: &Element, _most: usize, columns: &mut [Vec<f64>]) -> Result<usize, String> {
         read_row(self, element, columns)
@@ -167,7 +167,7 @@ impl<const LITTLE: bool> Source for Binary<'_, LITTLE> {
         self.rest.len().checked_div(bytes).unwrap_or(usize::MAX)
     }
     fn left(&self) -> usize {
-        self.rest.trim_ascii().len()
+        not_blank(self.rest)
     }
     fn columns(&mut self, element: &Element, most: usize, columns: &mut [Vec<f64>]) -> Result<usize, String> {
         let (_, stride) = element.least_row();
@@ -246,6 +246,12 @@ fn read_body<S: Source>(header: &Header, mut source: S) -> Result<Mesh, CodecErr
     }
     check_none_left(&source)?;
     Ok(mesh)
+}
+
+/// How many bytes there are, or none where all of them are white space, zeros or end marks of a text (Ctrl-Z).
+fn not_blank(rest: &[u8]) -> usize {
+    let is_blank = |byte: &u8| byte.is_ascii_whitespace() || matches!(byte, 0 | 0x1a);
+    if rest.iter().all(is_blank) { 0 } else { rest.len() }
 }
 
 /// Refuses a file that goes on after the rows its header counts: what those leave out would be missing without a word.

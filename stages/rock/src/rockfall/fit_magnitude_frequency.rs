@@ -79,6 +79,12 @@ fn why_not(volumes: &[f64], params: &FitMagnitudeFrequencyParams) -> String {
         [first, .., last] => format!("from {first:.3e} to {last:.3e} m3"),
         [only] => format!("{only:.3e} m3"),
     };
+    let is_even = count >= params.least_count as usize && volumes.first() != volumes.last();
+    if let Some(maximum) = params.maximum_m3.filter(|_| is_even) {
+        return format!(
+            "no law: up to {maximum} m3 large volumes are as frequent as small ones, by their powers of ten"
+        );
+    }
     format!(
         "no law: {count} of the {} volumes ({range}) lie from {from} m3 up; {} that are not all equal are needed",
         volumes.len(),

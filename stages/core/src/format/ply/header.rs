@@ -249,7 +249,8 @@ fn add_property(elements: &mut [Element], words: &[&str]) -> Result<(), CodecErr
         _ => return Err(bad(&format!("cannot read the property `{}`", shorten(&words.join(" "))))),
     };
     // Two of them would be read as one, be it the first or the last.
-    if ["x", "y", "z"].contains(&property.name.as_str()) && element.scalar(&property.name).is_some() {
+    let is_place = element.name == "vertex" && ["x", "y", "z"].contains(&property.name.as_str());
+    if is_place && element.scalar(&property.name).is_some() {
         return Err(bad(&format!("`{}` has two properties `{}`", shorten(&element.name), property.name)));
     }
     element.properties.push(property);

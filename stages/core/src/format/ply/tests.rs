@@ -81,7 +81,7 @@ fn errors_name_element_and_number() {
             .contains("no property `z`")
     );
     assert!(message(b"solid cube\n").contains("not `ply`"));
-    assert!(message(&[ascii(SQUARE, "3 0 1 2\n"), b"7\n".to_vec()].concat()).contains("1 bytes follow"));
+    assert!(message(&[ascii(SQUARE, "3 0 1 2\n"), b"7\n".to_vec()].concat()).contains("3 bytes follow"));
     let twice = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nproperty uint x\n";
     assert!(message(format!("{twice}end_header\n1 2 3 4\n").as_bytes()).contains("two properties `x`"));
 }
@@ -96,8 +96,10 @@ fn a_file_that_goes_on_after_its_last_row_is_refused() {
     let mut fewer = bytes.clone();
     fewer[at] = b'1';
     assert!(message(&fewer).contains("13 bytes follow the rows that the header counts"));
-    // A line end after the last row is none of this.
-    assert_eq!(read_mesh(&[bytes.as_slice(), b"\n"].concat()).unwrap(), mesh);
+    // A line end or an end mark after the last row is none of this.
+    for end in [b"\n".as_slice(), b"\0", b"\r\n\x1a"] {
+        assert_eq!(read_mesh(&[bytes.as_slice(), end].concat()).unwrap(), mesh);
+    }
 }
 
 #[test]
