@@ -55,8 +55,10 @@ fn run_command(cli: Cli, registry: &Registry) -> i32 {
     let result = result.and(written);
     let Err(error) = result else { return 0 };
     let message = error.render(is_coloured());
-    if !message.is_empty() {
+    if !message.is_empty() && is_coloured() {
         output::complain_in_colour(&message);
+    } else if !message.is_empty() {
+        output::complain(&message);
     }
     error.exit_code()
 }

@@ -50,8 +50,12 @@ impl Blobs {
     ///
     /// That it still has its name is looked at after that: a collection moves a blob away and then looks at its time.
     pub(crate) fn renew(&self, digest: &Digest, bytes: Option<u64>) -> bool {
-        let Ok(meta) = self.look(digest, bytes) else { return false };
         let path = self.path(digest);
+        // Nothing behind a link in the place of a folder is touched.
+        if !path.parent().is_some_and(plain::is_folder) {
+            return false;
+        }
+        let Ok(meta) = self.look(digest, bytes) else { return false };
         let touched = || plain::open(&path).and_then(|file| seal(&file, digest)).is_ok() && path.exists();
         is_recent(put_s(&meta)) || touched()
     }

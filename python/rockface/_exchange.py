@@ -349,6 +349,8 @@ def _outline(geometry: Any, told: str) -> dict[str, Any] | None:
     polygons = [polygon for polygon in ([given] if kind == "Polygon" else given) if len(polygon)]
     try:
         rings = [[[[float(place[0]), float(place[1])] for place in ring] for ring in polygon] for polygon in polygons]
+        if not all(np.isfinite(place).all() for polygon in rings for ring in polygon for place in ring):
+            raise ValueError("a coordinate is not finite")
     except (TypeError, ValueError, LookupError) as error:
         raise WrongOutputError(f"the geometry of {told} has no rings of places: {error}") from error
     return {"type": "MultiPolygon", "coordinates": rings} if rings else None
@@ -363,7 +365,7 @@ def _inventory_frame(inventory: Inventory) -> str | dict[str, Any]:
     if isinstance(stated, dict) and stated.get("axes") == str(inventory.frame):
         return stated
     named = str((crs.get("properties") or {}).get("name", "")) if isinstance(crs, Mapping) else ""
-    code = re.fullmatch(r"urn:ogc:def:crs:EPSG:[^:]*:(\d+)", named)
+    code = re.fullmatch(r"(?:urn:ogc:def:crs:EPSG:[^:]*|EPSG):(\d+)", named)
     if code and inventory.frame is Frame.WORLD:
         return {"axes": str(inventory.frame), "crs": f"EPSG:{code[1]}"}
     return str(inventory.frame)

@@ -703,10 +703,16 @@ class Inventory(Placed):
             frame: the frame of the coordinates.
             georeference: where the frame lies on the Earth; of the world frame, by default the system of the data.
         """
+        if frame is Frame.WORLD and data.crs is not None:
+            units = {axis.unit_name for axis in data.crs.axis_info[:2]}
+            if units != {"metre"}:
+                told = f"the coordinates are in {', '.join(sorted(units))}, not in metres"
+                raise RockfaceError(f"{told}: `data.to_crs(...)` brings them into a projected system")
         if georeference is None and frame is Frame.WORLD and data.crs is not None:
             code = data.crs.to_epsg()
             georeference = Georeference(f"EPSG:{code}" if code else data.crs.to_wkt())
-        return Inventory(frame, dict(data.__geo_interface__), georeference)
+        columns = [str(name) for name in data.columns if name != data.geometry.name]
+        return Inventory(frame, {**data.__geo_interface__, "rockface": {"columns": columns}}, georeference)
 
     def table(self) -> Table:
         """The properties, a row a rockfall."""

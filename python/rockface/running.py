@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 import importlib
 import json
 import re
@@ -188,14 +187,18 @@ class _Line:
     """One line of a terminal, written again and again."""
 
     def __init__(self, stream: Any) -> None:
-        self.stream, self.begun, self.written = stream, time.monotonic(), 0.0
+        self.stream, self.begun, self.written, self.count = stream, time.monotonic(), 0.0, 0
 
     def __call__(self, event: Mapping[str, Any]) -> None:
         kind, now = event.get("event"), time.monotonic()
         if kind == "warning":
+            self.count += 1
+            if self.count > WARNINGS:
+                return
             self.stream.write("\r\x1b[K" + printable(f"warning: {event['step']}: {event['text']}") + "\n")
         elif kind == "closed":
-            self.stream.write("\r\x1b[K")
+            more = self.count - WARNINGS
+            self.stream.write("\r\x1b[K" + (f"warning: {more} more, in the `warnings` of the run\n" if more > 0 else ""))
         elif "total" in event and now - self.written > 0.1:
             self.written = now
             self.stream.write("\r\x1b[K" + _sentence(event, self.begun)[:100])
@@ -216,11 +219,11 @@ def _notebook() -> Progress | None:
 
     def show(event: Mapping[str, Any]) -> None:
         now = time.monotonic()
-        if event.get("event") == "warning":
-            warned.append(f"<div>warning: {html.escape(event['step'])}: {html.escape(event['text'])}</div>")
+        if event.get("event") == "ended":
+            warned.extend(event.get("warnings", []))
         elif event.get("event") == "closed":
-            more = len(warned) - WARNINGS
-            told = "".join(warned[:WARNINGS]) + (f"<div>{more} more, in the warnings of the run</div>" if more > 0 else "")
+            # The head of the run, which a cell may end with, has their texts.
+            told = f"<div>{len(warned)} warnings: <code>run.warnings</code></div>" if warned else ""
             handle.update(shown.HTML(told))
         elif "total" in event and now - state["written"] > 0.2:
             state["written"] = now

@@ -10,6 +10,7 @@ import re
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -26,7 +27,7 @@ SHOWN = 10
 """Runs that a message names."""
 
 LABEL = re.compile(r"^(?P<step>[^.\[]+)(?P<one>\[[^\]]*\])?(\.(?P<port>[^.\[]+))?(?P<two>\[[^\]]*\])?$")
-NUMBER = re.compile(r"-?(0|[1-9]\d*)(\.\d+)?(e-?\d+)?")
+NUMBER = re.compile(r"[+-]?((0|[1-9]\d*)\.?\d*|\.\d+)([eE][+-]?\d+)?")
 """A number as an item has it; `007` and `2024_05` are texts."""
 PICTURES = 3
 """Pictures that the head of a run shows."""
@@ -123,7 +124,8 @@ class Outputs(Sequence[Any]):
         wanted = {axis: str(item) for axis, item in items.items()}
         steps = _fitting(self._steps, wanted)
         if not steps:
-            raise KeyError(f"no {self._steps[0].step}.{self._port} at {wanted}; the first point is {dict(self._steps[0].point)}")
+            first = f"the first point is {dict(self._steps[0].point)}" if self._steps else "there are no points"
+            raise KeyError(f"no {self._port} at {wanted}; {first}")
         rest = Outputs(self._run, self._port, steps)
         return rest[0] if len(steps) == 1 else rest
 
@@ -139,6 +141,8 @@ class Outputs(Sequence[Any]):
         return Table.of(records)
 
     def __repr__(self) -> str:
+        if not self._steps:
+            return f"Outputs({self._port} at no point)"
         step = self._steps[0]
         return f"Outputs({step.step}.{self._port}: {step.outputs[self._port]} at {len(self)} points of {', '.join(step.point)})"
 
@@ -327,6 +331,10 @@ class Run:
             row = numbers.setdefault(own, {}).setdefault(tuple(step.point[axis] for axis in own), {})
             row.update({f"{step.step}.{name}": value for name, value in step.metrics.items()})
             units.update({f"{step.step}.{name}": unit for name, unit in step.units.items()})
+        if not units and any(step.metrics for step in self.steps):
+            sets = dict.fromkeys(tuple(step.point) for step in self.steps if step.metrics)
+            ways = "; ".join(", ".join(map(repr, axes)) for axes in sets)
+            raise RockfaceError(f"no step with numbers depends on {', '.join(wanted)} alone; those of this run depend on {ways}")
         # A value gives way to a metric whose column has its name.
         values = self.manifest.get("values", {})
         names = {
@@ -458,7 +466,7 @@ def _typed(points: Iterable[Mapping[str, str]]) -> dict[str, dict[str, float | i
     def kind(items: Iterable[str]) -> Callable[[str], float | int | str]:
         if not all(NUMBER.fullmatch(item) for item in items):
             return str
-        return int if all(item.lstrip("-").isdecimal() for item in items) else float
+        return int if all(item.lstrip("+-").isdecimal() for item in items) else float
 
     return {axis: {item: kind(items)(item) for item in items} for axis, items in axes.items()}
 
@@ -482,7 +490,7 @@ def _runs_folders(runs: str | Path | None) -> list[Path]:
     if runs:
         return [Path(runs)]
     here = Path()
-    own = [here / ".rockface", *sorted(folder / ".rockface" for folder in here.iterdir())]
+    own = [here / ".rockface", *sorted(folder / ".rockface" for folder in _listed_in(here))]
     return [folder / "runs" for folder in own if _is_folder(folder / "runs")] or [here / ".rockface/runs"]
 
 
@@ -491,6 +499,29 @@ def _is_folder(path: Path) -> bool:
         return path.is_dir()
     except OSError:
         return False
+
+
+def _is_run(folder: Path) -> bool:
+    try:
+        return (folder / "run.json").is_file()
+    except OSError:
+        return False
+
+
+def _listed_in(folder: Path) -> list[Path]:
+    """What is in a folder; nothing where that cannot be read."""
+    try:
+        return list(folder.iterdir())
+    except OSError:
+        return []
+
+
+def _asked_for(run: Run) -> float:
+    """When a run was last asked for: when it finished, or when a link was pointed at it; seconds since 1970."""
+    finished = datetime.fromisoformat(str(run.manifest["finished"]).replace("Z", "+00:00")).timestamp()
+    links = [path for path in _listed_in(run.folder.parent) if path.name.startswith("latest") and path.is_symlink()]
+    pointed = [link.lstat().st_mtime for link in links if link.readlink() == Path(run.folder.name)]
+    return max([finished, *pointed])
 
 
 def find(run: str | Path = "latest", *, runs: str | Path | None = None, store: str | Path | None = None) -> Run:
@@ -511,16 +542,16 @@ def find(run: str | Path = "latest", *, runs: str | Path | None = None, store: s
         fitting = [one for one in _all(folders, store) if Path(one.manifest["pipeline"]["path"]).name == path.name]
         if not fitting:
             raise RockfaceError(f"{path} has no run in {folders[0]}")
-        return fitting[-1]
+        return max(fitting, key=_asked_for)
     for folder in (path, *([path.parent] if path.name == "run.json" else [])):
-        if (folder / "run.json").is_file():
+        if _is_run(folder):
             return Run(folder, store)
     folders = _runs_folders(runs)
     of, _, back = str(run).rpartition("~")
     if of and back.isdecimal():
         return _before(of, int(back), folders, runs, store)
     links = [folder / ("latest" if str(run) == "latest" else f"latest-{run}") for folder in folders]
-    links = [link for link in links if (link / "run.json").is_file()]
+    links = [link for link in links if _is_run(link)]
     if links:
         return Run(max(links, key=lambda link: link.lstat().st_mtime), store)
     names = sorted({(path.name, path.resolve()) for path in _entries(folders)})
@@ -542,8 +573,7 @@ def find(run: str | Path = "latest", *, runs: str | Path | None = None, store: s
 def _entries(folders: Sequence[Path]) -> list[Path]:
     """The run folders in some folders."""
     # The links `latest` and `latest-NAME` are further names of runs.
-    entries = (path for folder in folders if folder.is_dir() for path in folder.iterdir() if not path.is_symlink())
-    return [path for path in entries if (path / "run.json").is_file()]
+    return [path for folder in folders for path in _listed_in(folder) if not path.is_symlink() and _is_run(path)]
 
 
 def _all(folders: Sequence[Path], store: str | Path | None) -> list[Run]:
@@ -555,8 +585,8 @@ def _all(folders: Sequence[Path], store: str | Path | None) -> list[Run]:
 def _before(of: str, back: int, folders: Sequence[Path], runs: str | Path | None, store: str | Path | None) -> Run:
     """The run so many before the last one of a pipeline, or of all."""
     last = find(of, runs=runs, store=store)
-    # A pipeline named by its file has its runs beside it.
-    around = folders if of == "latest" or last.folder.parent in [folder.resolve() for folder in folders] else [last.folder.parent]
+    # A pipeline has its runs in one folder.
+    around = folders if of == "latest" else [last.folder.parent]
     before = [one for one in _all(around, store) if one.folder != last.folder and (of == "latest" or one.name == last.name)]
     if back > len(before):
         raise RockfaceError(f"`{of}` has {len(before) + 1} runs here: none is {back} before the last")

@@ -120,6 +120,15 @@ def test_coordinate_reference_systems_are_read_shown_and_carried(folder, parted)
     assert "of EPSG:28356" in repr(flat)
     assert set(flat.georeference.wall_from_world) >= {"rotation", "origin", "translation"}
     assert run["wall.mesh"].georeference == flat.georeference
+    # GDAL escapes the metadata of a copy once more.
+    shutil = pytest.importorskip("rasterio.shutil")
+    for output in ("flat.raster", "dem.raster"):
+        shutil.copy(run.path(output), "copied.tif", driver="GTiff")
+        copied = rockface.read("copied.tif")
+        assert (copied.frame, copied.georeference) == (run[output].frame, run[output].georeference)
+    read = "{rockface: 1, name: read, steps: {copied: {stage: import-rasters, with: {path: copied.tif, quantity: elevation}}}}"
+    Path("read.yaml").write_text(read)
+    assert rockface.run("read.yaml", progress=False)["copied"].crs == "EPSG:28356"
     xarray = pytest.importorskip("xarray")
     assert isinstance(run["dem.raster"].to_xarray(), xarray.DataArray)
     assert run["dem.raster"].to_xarray().attrs["crs"] == "EPSG:28356"

@@ -164,6 +164,10 @@ def test_a_foreign_raster_is_metres_or_refused(tmp_path):
     tiled = {"tiled": True, "blockxsize": 16, "blockysize": 16, "SPARSE_OK": "TRUE", "nodata": np.nan}
     sparse = rockface.read(foreign(tmp_path / "sparse.tif", whole, **tiled))
     assert np.array_equal(sparse.values, whole, equal_nan=True)
+    numbers32 = np.linspace(-3, 5, 200, dtype=np.float32).reshape(10, 20)
+    for predictor in (1, 2, 3):
+        path = foreign(tmp_path / f"{predictor}.tif", numbers32, compress="DEFLATE", predictor=predictor)
+        assert np.array_equal(rockface.read(path).values, numbers32)
     for name, more, told in [
         ("degrees", {"crs": "EPSG:4326"}, "degrees"),
         ("feet", {"crs": "EPSG:2229"}, "not in metres"),

@@ -221,6 +221,26 @@ steps:
         run.path("face.mesh[day=007]")
 
 
+def test_numbers_are_items_however_they_are_written(folder):
+    text = """
+rockface: 1
+name: numbers
+axes: {cell_m: {values: [.05, 1., 1E-1, +0.2]}}
+steps:
+  face: {stage: synthesise-face, with: {width_m: 2, height_m: 2, spacing_m: 0.2}}
+  dem: {stage: rasterise-dem, with: {cell_m: "${cell_m}", method: tin}, in: {surface: face.mesh}}
+"""
+    (folder / "numbers.yaml").write_text(text)
+    run = rockface.run("numbers.yaml", progress=False)
+    assert list(run.table("cell_m")["cell_m"]) == [0.05, 1, 0.1, 0.2]
+    assert run["dem.raster"].at(cell_m=0.05).grid.cell_m == 0.05
+    empty = run["dem.raster"][4:]
+    assert len(empty) == 0
+    assert "no point" in repr(empty)
+    with pytest.raises(KeyError, match="there are no points"):
+        empty.at(cell_m=1)
+
+
 def test_the_axes_of_a_swept_value_of_a_step_are_known(folder, pipeline):
     run = rockface.run(pipeline, sweep={"steps.face.with.relief_m": [0.1, 0.2]}, progress=False)
     assert run.table().columns[0] == "swept_relief_m"
@@ -255,6 +275,14 @@ def test_runs_beside_pipelines_in_folders_are_found(folder, monkeypatch):
     assert rockface.open("sub/mein Lauf.yaml").folder == second.folder
     assert rockface.open("mein Lauf.yaml").folder == first.folder
     assert rockface.open("latest~1").folder == first.folder
+    third = rockface.run("sub/mein Lauf.yaml", seed=5, store="st", progress=False)
+    assert rockface.open("sub/mein Lauf.yaml~1").folder == rockface.open("b~1").folder == second.folder
+    with pytest.raises(rockface.RockfaceError, match="has 2 runs here"):
+        rockface.open("sub/mein Lauf.yaml~2")
+    # What was asked for again is the last one.
+    time.sleep(0.05)
+    assert rockface.run("sub/mein Lauf.yaml", seed=3, store="st", progress=False).folder == second.folder
+    assert rockface.open("sub/mein Lauf.yaml").folder == second.folder != third.folder
     none = rockface.run("mein Lauf.yaml", outputs="none", store="st", runs="ru", seed=4, progress=False)
     monkeypatch.chdir(folder / "sub")
     assert len(none["face.mesh"].vertices) > 0

@@ -574,6 +574,9 @@ def test_an_inventory_goes_through_geopandas(bench):
     back = _exchange.decode("inventory", memoryview(_exchange.write("inventory", made))).to_geopandas()
     assert back.crs.to_epsg() == 28356
     assert (back.volume_m3[0], back.geometry[0].area) == (0.5, shape.area)
+    assert rockface.Inventory.from_geopandas(data[data.volume_m3 > 9]).table().columns == ["volume_m3"]
+    with pytest.raises(rockface.RockfaceError, match="not in metres"):
+        rockface.Inventory.from_geopandas(data.to_crs("EPSG:4326"), rockface.Frame.WORLD)
 
 
 @pytest.mark.parametrize(

@@ -28,12 +28,13 @@ pub fn fault() -> Option<io::Error> {
 
 /// Writes a line to standard error. Where that cannot be written there is nobody left to tell.
 pub fn complain(text: &str) {
-    complain_in_colour(&rockface_engine::watch::printable(text));
+    let _ = writeln!(io::stderr(), "{}", rockface_engine::watch::printable(text));
 }
 
-/// The same for what is written for a terminal already, with colours.
+/// The same for what has colours: all but the escape character that begins them is written out.
 pub fn complain_in_colour(text: &str) {
-    let _ = writeln!(io::stderr(), "{text}");
+    let parts: Vec<_> = text.split('\u{1b}').map(rockface_engine::watch::printable).collect();
+    let _ = writeln!(io::stderr(), "{}", parts.join("\u{1b}"));
 }
 
 /// Whether no colours are wanted. See <https://no-color.org>: any text but an empty one.

@@ -23,7 +23,10 @@ WIDTH, HEIGHT, BITS, COMPRESSION, STRIPS, SAMPLES, ROWS = 256, 257, 258, 259, 27
 STRIP_BYTES, PLANAR, PREDICTOR, TILE_WIDTH, TILE_HEIGHT = 279, 284, 317, 322, 323
 TILES, TILE_BYTES, FORMAT, SCALE, TIEPOINT, KEYS = 324, 325, 339, 33550, 33922, 34735
 METADATA, NODATA = 42112, 42113
-MODEL, PROJECTED_MODEL, LENGTH_UNIT, METRE = 1024, 1, 3076, 9001
+MODEL, PROJECTED_MODEL, LENGTH_UNIT, HEIGHT_UNIT, METRE = 1024, 1, 3076, 4099, 9001
+KIND, MASK, TEXTS, MOST_DIRECTORIES = 254, 4, 34737, 64
+WORLD = "rockface world frame"
+"""What our files in the world frame call their system where none is known."""
 MOST_EXPANSION = 1400
 """No compression that is read here expands further."""
 PIXEL_IS_POINT = (1025, 0, 1, 2)
@@ -45,6 +48,7 @@ def read(data: memoryview) -> Raster:
     """
     try:
         directory = _directory(data)
+        _check_masks(data, directory)
         bands = _bands(data, _Layout(directory), directory.text(NODATA).strip())
     except (struct.error, zlib.error, KeyError, IndexError, ValueError) as error:
         raise FormatError(f"damaged GeoTIFF: {error!r}") from error
@@ -55,6 +59,8 @@ def read(data: memoryview) -> Raster:
 class _Directory:
     order: str
     tags: dict[int, tuple[Any, ...]]
+    following: int
+    """Where the next one begins, or 0."""
 
     def text(self, tag: int) -> str:
         values = self.tags.get(tag, (b"",))
@@ -68,13 +74,24 @@ class _Directory:
         return default
 
 
-def _directory(data: memoryview) -> _Directory:
+def _check_masks(data: memoryview, directory: _Directory) -> None:
+    """Refuses a file that says by a mask of its own which cells have a value: they would all count."""
+    for _ in range(MOST_DIRECTORIES):
+        if not directory.following:
+            return
+        directory = _directory(data, directory.following)
+        if directory.one(KIND, 0) & MASK:
+            raise FormatError(f"the TIFF has a mask of its own: {IMPORT}")
+
+
+def _directory(data: memoryview, start: int | None = None) -> _Directory:
     order = {b"II": "<", b"MM": ">"}.get(bytes(data[:2]))
     if order is None:
         raise FormatError("not a TIFF: it does not begin like one")
-    magic, start = struct.unpack_from(order + "HI", data, 2)
+    magic, first = struct.unpack_from(order + "HI", data, 2)
     if magic != 42:
         raise FormatError(f"a TIFF of another kind (BigTIFF): {OTHER}")
+    start = first if start is None else start
     (count,) = struct.unpack_from(order + "H", data, start)
     tags = {}
     for entry in range(count):
@@ -89,7 +106,8 @@ def _directory(data: memoryview) -> _Directory:
         size = struct.calcsize(form)
         at = place + 8 if size <= 4 else struct.unpack_from(order + "I", data, place + 8)[0]
         tags[tag] = struct.unpack_from(form, data, at)
-    return _Directory(order, tags)
+    (following,) = struct.unpack_from(order + "I", data, start + 2 + 12 * count)
+    return _Directory(order, tags, following)
 
 
 class _Layout:
@@ -168,7 +186,10 @@ def _decoded(raw: bytes, layout: _Layout, height: int) -> Array:
         return values.reshape(shape)
     values = np.frombuffer(raw, layout.dtype, height * layout.width * layout.per_chunk).reshape(shape)
     if layout.predictor == 2:
-        return np.cumsum(values, axis=1, dtype=values.dtype.newbyteorder("="))
+        # Differences are those of the bits, also of floats.
+        own = values.dtype.newbyteorder("=")
+        whole = np.dtype(f"u{size}")
+        return np.cumsum(values.astype(own).view(whole), axis=1, dtype=whole).view(own)
     return values
 
 
@@ -192,7 +213,9 @@ def _raster(directory: _Directory, bands: Array) -> Raster:
     }
     named = {names.get(number, f"band {number + 1}"): band for number, band in enumerate(_without(bands, directory.text(NODATA)))}
     place = _georeference(metadata, keys)
-    frame = Frame(_item(metadata, "FRAME") or ("world" if place else "wall"))
+    stated = {keys[at]: keys[at + 3] for at in range(4, len(keys) - 3, 4) if keys[at + 1] == 0}
+    is_world = place or stated.get(MODEL) == PROJECTED_MODEL or WORLD in directory.text(TEXTS)
+    frame = Frame(_item(metadata, "FRAME") or ("world" if is_world else "wall"))
     return Raster(grid, frame, _item(metadata, "QUANTITY") or "value", named, place)
 
 
@@ -200,9 +223,10 @@ def _check_metres(metadata: str, keys: tuple[Any, ...]) -> None:
     """Refuses a file, as other programs write them, whose numbers are not metres as they stand."""
     stated = {keys[at]: keys[at + 3] for at in range(4, len(keys) - 3, 4) if keys[at + 1] == 0}
     if stated.get(MODEL, PROJECTED_MODEL) not in (PROJECTED_MODEL, USER_DEFINED, 0):
-        raise FormatError(f"its coordinates are degrees, not metres: {IMPORT}")
-    if stated.get(LENGTH_UNIT, METRE) != METRE:
-        raise FormatError(f"its coordinates are not in metres (unit {stated[LENGTH_UNIT]}): {IMPORT}")
+        raise FormatError(f"its coordinates are degrees, or lie in space, not in a plane: {IMPORT}")
+    for what, key in (("coordinates", LENGTH_UNIT), ("heights", HEIGHT_UNIT)):
+        if stated.get(key, METRE) != METRE:
+            raise FormatError(f"its {what} are not in metres (unit {stated[key]}): {IMPORT}")
     if re.search(r'role="(scale|offset)"', metadata):
         raise FormatError(f"its numbers have a scale or an offset: {IMPORT}")
 
@@ -211,7 +235,8 @@ def _georeference(metadata: str, keys: tuple[Any, ...]) -> Georeference | None:
     """Where the frame lies: as our own files state it, else by the codes of the projected and the vertical system."""
     stated = _item(metadata, "GEOREFERENCE")
     if stated:
-        return Georeference.of(json.loads(stated))
+        # GDAL writes out what is written out already.
+        return Georeference.of(json.loads(stated if stated.startswith("{") and '"' in stated else unescape(stated)))
     codes = {keys[at]: keys[at + 3] for at in range(4, len(keys) - 3, 4) if keys[at + 1] == 0}
     known = [str(codes[key]) for key in (PROJECTED, VERTICAL) if codes.get(key, USER_DEFINED) != USER_DEFINED]
     return Georeference("EPSG:" + "+".join(known)) if PROJECTED in codes and known else None

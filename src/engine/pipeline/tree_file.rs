@@ -29,7 +29,11 @@ const LIST: usize = 1024;
 ///
 /// What is wrong with the text.
 pub fn parse(text: &str, source: usize, folder: Option<&Path>) -> Result<Node, Diagnostic> {
-    let Some(folder) = folder.filter(|_| text.len() >= LONG_BYTES) else { return Node::parse(text, source) };
+    // A link in its place, which somebody else may have put into a store, may lead anywhere.
+    let is_own = |folder: &&Path| folder.symlink_metadata().is_ok_and(|meta| meta.is_dir());
+    let Some(folder) = folder.filter(is_own).filter(|_| text.len() >= LONG_BYTES) else {
+        return Node::parse(text, source);
+    };
     let digest = Digest::of(text.as_bytes());
     let file = slot(folder, &digest);
     if let Some(tree) = rockface_cache::read_plain(&file).and_then(|bytes| read(&bytes, &digest, text, source)) {
@@ -268,6 +272,10 @@ mod tests {
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
         assert_eq!(parse(&text, 0, Some(folder.path())).unwrap(), first);
         assert_eq!(parse(&text, 0, Some(&folder.path().join("nowhere"))).unwrap(), first);
+        let (home, link) = (tempfile::tempdir().unwrap(), folder.path().join("link"));
+        std::os::unix::fs::symlink(home.path(), &link).unwrap();
+        assert_eq!(parse(&text, 0, Some(&link)).unwrap(), first);
+        assert_eq!(std::fs::read_dir(home.path()).unwrap().count(), 0);
         assert!(parse(&format!("{text}x"), 0, Some(folder.path())).is_err());
     }
 }

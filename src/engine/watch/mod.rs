@@ -118,8 +118,8 @@ pub fn printable(text: &str) -> Cow<'_, str> {
         return text.into();
     }
     let written = |letter: char| match letter {
-        // As JSON has it too, of which this may be a line: it writes out control characters by itself, and not these.
-        _ if turns(letter) => format!("\\u{:04x}", u32::from(letter)),
+        // As JSON has it too, of which this may be a line: it writes out the control characters of ASCII by itself, and not these.
+        _ if turns(letter) || (is_command(letter) && letter >= '\u{7f}') => format!("\\u{:04x}", u32::from(letter)),
         _ if is_command(letter) => letter.escape_default().to_string(),
         _ => letter.into(),
     };
@@ -184,12 +184,12 @@ mod tests {
     #[test]
     fn nothing_is_said_that_a_terminal_takes_for_a_command() {
         assert_eq!(super::printable("a\tb\nü"), "a\tb\nü");
-        let turned = serde_json::json!({"text": "a\u{202e}b\u{2066}"}).to_string();
+        let turned = serde_json::json!({"text": "a\u{202e}b\u{2066}\u{7f}\u{9b}"}).to_string();
         let shown = super::printable(&turned);
-        assert_eq!(shown, r#"{"text":"a\u202eb\u2066"}"#);
+        assert_eq!(shown, r#"{"text":"a\u202eb\u2066\u007f\u009b"}"#);
         let read: serde_json::Value = serde_json::from_str(&shown).unwrap();
-        assert_eq!(read["text"], "a\u{202e}b\u{2066}");
-        assert_eq!(super::printable("\u{1b}]0;title\u{7}\rend\u{9b}2J"), "\\u{1b}]0;title\\u{7}\\rend\\u{9b}2J");
+        assert_eq!(read["text"], "a\u{202e}b\u{2066}\u{7f}\u{9b}");
+        assert_eq!(super::printable("\u{1b}]0;title\u{7}\rend\u{9b}2J"), "\\u{1b}]0;title\\u{7}\\rend\\u009b2J");
     }
 
     #[test]

@@ -118,13 +118,7 @@ impl Voxels {
             });
         }
         voxels.flags = flags.into_iter().map(AtomicU8::into_inner).collect();
-        let sides = shapes.into_iter().zip(motions).zip(bridged);
-        voxels.seen = std::array::from_fn(|_| Vec::new());
-        let seen: Vec<Vec<[u32; 2]>> =
-            sides.map(|((shape, motion), gaps)| voxels.seen_of(shape, motion, gaps)).collect();
-        if let Ok(seen) = seen.try_into() {
-            voxels.seen = seen;
-        }
+        voxels.seen = [0, 1].map(|side| voxels.seen_of(shapes[side], motions[side], bridged[side]));
         Ok(voxels)
     }
 

@@ -20,6 +20,8 @@ const LARGEST_VALUE_BYTES: usize = 8;
 /// Bytes of tags and of one tile or strip that are always allowed.
 const LEAST_LIMIT_BYTES: usize = 1 << 20;
 
+/// The number of no compression.
+const UNCOMPRESSED: u16 = 1;
 /// Extra samples that are transparency, associated or not.
 const ALPHA: [u16; 2] = [1, 2];
 /// The bit of the kind of a directory that says that it is a mask.
@@ -233,7 +235,7 @@ fn values(
     }
     let is_plain = nodata.is_none() && scalings.is_none();
     let mut sample = Sample::Float;
-    let left_out = left_out(file, nodata)?;
+    let left_out = left_out(file, layout, nodata)?;
     for chunk in (0..layout.chunks()).filter(|chunk| !left_out.get(*chunk).is_some_and(|is_left_out| *is_left_out)) {
         let decoded = file.read_chunk(chunk as u32).map_err(|e| refused(&e))?;
         sample = match decoded {
@@ -259,13 +261,26 @@ fn values(
 }
 
 /// Which tiles or strips the file leaves out since they have no value (GDAL's `SPARSE_OK`): they have no bytes.
-fn left_out(file: &mut File, nodata: Option<f64>) -> Result<Vec<bool>, CodecError> {
-    let tag = match file.get_chunk_type() {
-        ChunkType::Tile => Tag::TileByteCounts,
-        ChunkType::Strip => Tag::StripByteCounts,
-    };
+///
+/// # Errors
+/// They have no bytes and no no-data value stands for that; one that is not compressed has fewer bytes than its cells take, and would go on
+/// with whatever follows it in the file.
+fn left_out(file: &mut File, layout: &Layout, nodata: Option<f64>) -> Result<Vec<bool>, CodecError> {
+    let is_tiled = file.get_chunk_type() == ChunkType::Tile;
+    let tag = if is_tiled { Tag::TileByteCounts } else { Tag::StripByteCounts };
     let counts = file.find_tag_unsigned_vec::<u64>(tag).map_err(|e| refused(&e))?.unwrap_or_default();
     let left_out: Vec<bool> = counts.iter().map(|bytes| *bytes == 0).collect();
+    let bits = file.find_tag_unsigned_vec::<u16>(Tag::BitsPerSample).map_err(|e| refused(&e))?.unwrap_or_default();
+    if number(file, Tag::Compression)?.is_none_or(|compression| compression == UNCOMPRESSED) {
+        let value_bits = bits.first().map_or(1, |bits| usize::from(*bits));
+        for (chunk, bytes) in counts.iter().enumerate().take(layout.chunks()).filter(|(_, bytes)| **bytes > 0) {
+            let rows = if is_tiled { layout.chunk_rows } else { layout.place(chunk)[4] };
+            let needed = (layout.chunk_columns * layout.interleaved() * value_bits).div_ceil(8) * rows;
+            if *bytes < needed as u64 {
+                return Err(damaged(&format!("chunk {chunk} has {bytes} bytes, {needed} are needed")));
+            }
+        }
+    }
     if nodata.is_none() && left_out.contains(&true) {
         let way = "write them, or say what stands for no value: `gdal_translate -a_nodata VALUE IN OUT`";
         return Err(CodecError(format!(

@@ -249,7 +249,11 @@ impl Metadata {
                 self.offsets.insert(index, text);
             }
             (Some("FRAME"), ..) => self.frame = Frame::named(&text),
-            (Some("GEOREFERENCE"), ..) => self.georeference = Georeference::from_text(&text).ok(),
+            (Some("GEOREFERENCE"), ..) => {
+                // GDAL, when it copies a file, escapes what is escaped already.
+                let read = Georeference::from_text(&text).or_else(|_| Georeference::from_text(&unescape(&text)));
+                self.georeference = read.ok();
+            }
             (Some("QUANTITY"), ..) => self.quantity = Some(text),
             _ => {}
         }
