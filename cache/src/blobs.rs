@@ -52,7 +52,7 @@ impl Blobs {
     pub(crate) fn renew(&self, digest: &Digest, bytes: Option<u64>) -> bool {
         let path = self.path(digest);
         // Nothing behind a link in the place of a folder is touched.
-        if !path.parent().is_some_and(plain::is_folder) {
+        if !plain::is_in_folder(&path) {
             return false;
         }
         let Ok(meta) = self.look(digest, bytes) else { return false };
@@ -143,10 +143,10 @@ impl Blobs {
     /// it is moved back, or finds it gone, and writes it anew.
     pub(crate) fn remove(&self, digest: &Digest, since_s: u64) -> Result<bool, StoreError> {
         let path = self.path(digest);
-        let Some(file) = path.parent().filter(|folder| plain::is_folder(folder)).and_then(|_| plain::open(&path).ok())
-        else {
+        if !plain::is_in_folder(&path) {
             return Ok(false);
-        };
+        }
+        let Ok(file) = plain::open(&path) else { return Ok(false) };
         // Locked, it is not swept up as the half-written blob of a process that died.
         let locked = Locked::try_new(file).ok().flatten();
         if self.written(digest).is_none_or(|(_, put_s)| put_s > since_s) || locked.is_none() {
@@ -173,7 +173,7 @@ impl Blobs {
             let Some(digest) = name.and_then(|name| name.parse::<Digest>().ok()) else { continue };
             let path = self.path(&digest);
             // Never through a link, which could lead out of the store.
-            if !path.parent().is_some_and(plain::is_folder) {
+            if !plain::is_in_folder(&path) {
                 continue;
             }
             // The lock is held until it is back. What cannot be moved now is left for another time.

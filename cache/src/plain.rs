@@ -65,6 +65,11 @@ pub(crate) fn is_folder(path: &Path) -> bool {
     fs::symlink_metadata(path).is_ok_and(|meta| meta.is_dir())
 }
 
+/// Whether what is at `path` is in a folder, and not behind a link to one.
+pub(crate) fn is_in_folder(path: &Path) -> bool {
+    path.parent().is_some_and(is_folder)
+}
+
 /// Whether nothing is at `path`; false where that cannot be found out.
 pub(crate) fn is_absent(path: &Path) -> bool {
     fs::symlink_metadata(path).is_err_and(|fault| fault.kind() == ErrorKind::NotFound)

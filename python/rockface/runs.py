@@ -440,12 +440,12 @@ def _fitting(steps: Sequence[Step], picks: Mapping[str, str]) -> list[Step]:
     fitting = [step for step in steps if picks.items() <= dict(step.point).items()]
     if fitting:
         return fitting
-    wanted = {axis: _number(item) for axis, item in picks.items()}
-    is_same = {
-        axis: lambda item, pick=pick, number=wanted[axis]: item == pick or (number is not None and _number(item) == number)
-        for axis, pick in picks.items()
-    }
-    return [step for step in steps if all(axis in step.point and is_same[axis](step.point[axis]) for axis in picks)]
+
+    def is_same(item: str | None, pick: str) -> bool:
+        number = _number(pick)
+        return item == pick or (item is not None and number is not None and _number(item) == number)
+
+    return [step for step in steps if all(is_same(step.point.get(axis), pick) for axis, pick in picks.items())]
 
 
 def _listed(steps: Sequence[Step]) -> str:

@@ -111,6 +111,15 @@ fn however_little_a_disk_holds_a_run_says_so_and_goes_on_once_there_is_room() {
     }
 }
 
+/// Collects what no run names, two hours later; returns what is said of it.
+fn collected(place: &Place, shim: &Path, kind: &str) -> String {
+    let mut command = place.command(&["store", "gc", "--unnamed"]);
+    Watched::new(&mut command, shim, place.root()).later(7200);
+    let out = command.output().unwrap();
+    assert!(out.status.success(), "{kind}: {}", String::from_utf8_lossy(&out.stderr));
+    String::from_utf8_lossy(&out.stdout).into_owned()
+}
+
 #[test]
 fn a_collection_makes_room_on_a_full_disk() {
     let Some(shim) = shim() else { return };
@@ -121,11 +130,8 @@ fn a_collection_makes_room_on_a_full_disk() {
         std::fs::remove_dir_all(place.path(".rockface/runs")).unwrap();
         fill(&mounted.at, 0);
         let before = free(&mounted.at);
-        let mut command = place.command(&["store", "gc", "--unnamed"]);
-        Watched::new(&mut command, shim, place.root()).later(7200);
-        let out = command.output().unwrap();
-        assert!(out.status.success(), "{kind}: {}", String::from_utf8_lossy(&out.stderr));
-        assert!(free(&mounted.at) > before + (1 << 20), "{kind}: {}", String::from_utf8_lossy(&out.stdout));
+        let told = collected(&place, shim, kind);
+        assert!(free(&mounted.at) > before + (1 << 20), "{kind}: {told}");
     }
 }
 
@@ -143,11 +149,8 @@ fn a_collection_makes_room_on_a_full_disk_for_the_segments_of_what_stays() {
         fill(&mounted.at, 0);
         let segments = || std::fs::read_dir(place.path(".rockface/store/segments")).unwrap().count();
         let (before, count) = (free(&mounted.at), segments());
-        let mut command = place.command(&["store", "gc", "--unnamed"]);
-        Watched::new(&mut command, shim, place.root()).later(7200);
-        let out = command.output().unwrap();
-        assert!(out.status.success(), "{kind}: {}", String::from_utf8_lossy(&out.stderr));
-        assert!(free(&mounted.at) > before + (1 << 20) && segments() <= count, "{kind}");
+        let told = collected(&place, shim, kind);
+        assert!(free(&mounted.at) > before + (1 << 20) && segments() <= count, "{kind}: {told}");
         std::fs::remove_file(mounted.at.join("filler")).unwrap();
         place.goes_on(&OTHER, &expected).unwrap();
     }

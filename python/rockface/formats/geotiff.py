@@ -29,7 +29,7 @@ WORLD = "rockface world frame"
 """What our files in the world frame call their system where none is known."""
 MOST_EXPANSION = 1400
 """No compression that is read here expands further."""
-PIXEL_IS_POINT = (1025, 0, 1, 2)
+PIXEL_IS, POINT = 1025, 2
 PROJECTED, VERTICAL, USER_DEFINED = 3072, 4096, 32767
 
 TYPES = {1: "B", 2: "s", 3: "H", 4: "I", 5: "II", 6: "b", 8: "h", 9: "i", 11: "f", 12: "d", 13: "I"}
@@ -201,10 +201,9 @@ def _raster(directory: _Directory, bands: Array) -> Raster:
     column, row, _, x, y, *_ = tags[TIEPOINT]
     if abs(scale_x - scale_y) > 1e-9 * abs(scale_x):
         raise FormatError(f"cells must be square; this file has {scale_x} by {scale_y}: {OTHER}")
-    keys = tags.get(KEYS, ())
+    keys = _geo_keys(tags.get(KEYS, ()))
     _check_metres(metadata, keys)
-    entries = {tuple(keys[at : at + 4]) for at in range(4, len(keys), 4)}
-    half = 0.5 * scale_x if PIXEL_IS_POINT in entries else 0.0
+    half = 0.5 * scale_x if keys.get(PIXEL_IS) == POINT else 0.0
     left, top = x - column * scale_x - half, y + row * scale_y + half
     grid = Grid(bands.shape[2], bands.shape[1], scale_x, left, top)
     names = {
@@ -213,33 +212,36 @@ def _raster(directory: _Directory, bands: Array) -> Raster:
     }
     named = {names.get(number, f"band {number + 1}"): band for number, band in enumerate(_without(bands, directory.text(NODATA)))}
     place = _georeference(metadata, keys)
-    stated = {keys[at]: keys[at + 3] for at in range(4, len(keys) - 3, 4) if keys[at + 1] == 0}
-    is_world = place or stated.get(MODEL) == PROJECTED_MODEL or WORLD in directory.text(TEXTS)
+    is_world = place or keys.get(MODEL) == PROJECTED_MODEL or WORLD in directory.text(TEXTS)
     frame = Frame(_item(metadata, "FRAME") or ("world" if is_world else "wall"))
     return Raster(grid, frame, _item(metadata, "QUANTITY") or "value", named, place)
 
 
-def _check_metres(metadata: str, keys: tuple[Any, ...]) -> None:
+def _geo_keys(directory: tuple[Any, ...]) -> dict[int, int]:
+    """The geographic keys that are numbers, which stand in the directory of keys itself."""
+    entries = (directory[at : at + 4] for at in range(4, len(directory) - 3, 4))
+    return {key: value for key, place, _, value in entries if place == 0}
+
+
+def _check_metres(metadata: str, keys: dict[int, int]) -> None:
     """Refuses a file, as other programs write them, whose numbers are not metres as they stand."""
-    stated = {keys[at]: keys[at + 3] for at in range(4, len(keys) - 3, 4) if keys[at + 1] == 0}
-    if stated.get(MODEL, PROJECTED_MODEL) not in (PROJECTED_MODEL, USER_DEFINED, 0):
+    if keys.get(MODEL, PROJECTED_MODEL) not in (PROJECTED_MODEL, USER_DEFINED, 0):
         raise FormatError(f"its coordinates are degrees, or lie in space, not in a plane: {IMPORT}")
     for what, key in (("coordinates", LENGTH_UNIT), ("heights", HEIGHT_UNIT)):
-        if stated.get(key, METRE) != METRE:
-            raise FormatError(f"its {what} are not in metres (unit {stated[key]}): {IMPORT}")
+        if keys.get(key, METRE) != METRE:
+            raise FormatError(f"its {what} are not in metres (unit {keys[key]}): {IMPORT}")
     if re.search(r'role="(scale|offset)"', metadata):
         raise FormatError(f"its numbers have a scale or an offset: {IMPORT}")
 
 
-def _georeference(metadata: str, keys: tuple[Any, ...]) -> Georeference | None:
+def _georeference(metadata: str, keys: dict[int, int]) -> Georeference | None:
     """Where the frame lies: as our own files state it, else by the codes of the projected and the vertical system."""
     stated = _item(metadata, "GEOREFERENCE")
     if stated:
         # GDAL writes out what is written out already.
         return Georeference.of(json.loads(stated if stated.startswith("{") and '"' in stated else unescape(stated)))
-    codes = {keys[at]: keys[at + 3] for at in range(4, len(keys) - 3, 4) if keys[at + 1] == 0}
-    known = [str(codes[key]) for key in (PROJECTED, VERTICAL) if codes.get(key, USER_DEFINED) != USER_DEFINED]
-    return Georeference("EPSG:" + "+".join(known)) if PROJECTED in codes and known else None
+    known = [str(keys[key]) for key in (PROJECTED, VERTICAL) if keys.get(key, USER_DEFINED) != USER_DEFINED]
+    return Georeference("EPSG:" + "+".join(known)) if PROJECTED in keys and known else None
 
 
 def _without(bands: Array, nodata: str) -> Array:
