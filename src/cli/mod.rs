@@ -78,7 +78,7 @@ enum Command {
     Plan(plan::PlanArgs),
     /// Show the recipe of one step instance, whether its result is cached, and if not, what changed.
     Explain(explain::ExplainArgs),
-    /// Draw the steps and the data that flows between them. Targets have a double frame; outputs that are not kept are dashed.
+    /// Draw the steps and the data that flows between them. Targets have a bold or double frame; outputs that are not kept are dashed.
     Graph(graph::GraphArgs),
     /// List the stages, or show the manual page of one.
     Stages(stages::StagesArgs),

@@ -8,7 +8,7 @@ use rockface_cache::Digest;
 
 use super::{CliError, PipelineArgs};
 use rockface_engine::history::Manifest;
-use rockface_engine::pipeline::{Copied, is_same_axis, is_same_path, without_detours};
+use rockface_engine::pipeline::{Copied, is_same_axis, is_set_by, is_swept_by, without_detours};
 use rockface_engine::plan::Plan;
 use rockface_engine::run::Summary;
 
@@ -70,14 +70,19 @@ fn take_over(arguments: &mut PipelineArgs, manifest: &Manifest, copied: Option<C
     }
     let (set, sweep) = (std::mem::take(&mut arguments.set), std::mem::take(&mut arguments.sweep));
     let is_replaced = |former: &&String| {
-        sweep.iter().any(|given| is_same_axis(given, former)) || set.iter().any(|given| is_same_path(given, former))
+        sweep.iter().any(|given| is_same_axis(given, former)) || set.iter().any(|given| is_swept_by(given, former))
     };
     let former: Vec<String> = manifest.overrides.sweep.iter().filter(|former| !is_replaced(former)).cloned().collect();
-    let is_swept = |former: &&String| sweep.iter().any(|given| is_same_path(given, former));
-    let set_before = manifest.overrides.set.iter().filter(|former| !is_swept(former)).cloned();
+    let seed = arguments.seed.map(|seed| format!("seed={seed}"));
+    let is_given = |former: &&String| {
+        let is_set = set.iter().chain(&seed).any(|given| is_set_by(former, given));
+        is_set || sweep.iter().any(|given| is_swept_by(former, given))
+    };
+    let set_before = manifest.overrides.set.iter().filter(|former| !is_given(former)).cloned();
+    let seed_before = manifest.overrides.seed.filter(|_| !set.iter().any(|given| is_set_by("seed=", given)));
     arguments.set = set_before.chain(set.iter().cloned()).collect();
     arguments.sweep = former.into_iter().chain(sweep.iter().cloned()).collect();
-    arguments.seed = arguments.seed.or(manifest.overrides.seed);
+    arguments.seed = arguments.seed.or(seed_before);
     if arguments.target.is_empty() {
         arguments.target.clone_from(&manifest.targets);
     }

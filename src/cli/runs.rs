@@ -261,7 +261,12 @@ fn shown(value: Option<&Value>) -> String {
 fn pin(places: &Places, name: &str, pinned: bool) -> Result<(), CliError> {
     let run = places.find(name)?;
     run.pin(pinned)?;
-    let done = if pinned { "is pinned: what it made is not collected" } else { "is no longer pinned" };
+    let done = match (pinned, run.pinned) {
+        (true, false) => "is pinned: what it made is not collected",
+        (true, true) => "was pinned already: what it made is not collected",
+        (false, true) => "is no longer pinned",
+        (false, false) => "was not pinned",
+    };
     say(&format!("{} {done}", run.name));
     Ok(())
 }

@@ -227,6 +227,7 @@ impl Diagnostics {
         let place = diagnostic.span.and_then(|span| Some((self.sources.get(span.source)?, span)));
         let mut group = match place {
             Some((source, span)) => {
+                let span = of_mention(&source.text, span, &diagnostic.message);
                 let mut used = source;
                 while let Origin::Use { at, .. } = &used.origin {
                     notes.push((*at, "used here"));
@@ -254,8 +255,12 @@ impl Diagnostics {
 /// A title with the line of a place below it.
 fn snippet<'a>(title: Title<'a>, source: &'a Source, span: Span, kind: AnnotationKind, label: &'a str) -> Group<'a> {
     let range = visible(&source.text, span.start..span.end);
-    let (line, first) = line_at(&source.text, range.start);
-    let mut annotation = kind.span(range.start - line.start..range.end - line.start);
+    let (mut line, first) = line_at(&source.text, range.start);
+    if source.text[line.clone()].starts_with(MARK) && first == 1 {
+        line.start += MARK.len_utf8();
+    }
+    let in_line = |at: usize| at.saturating_sub(line.start);
+    let mut annotation = kind.span(in_line(range.start)..in_line(range.end));
     if !label.is_empty() {
         annotation = annotation.label(label);
     }
@@ -270,6 +275,25 @@ impl fmt::Display for Diagnostics {
 }
 
 impl std::error::Error for Diagnostics {}
+
+/// The mark of UTF-8 with which some editors begin a text: it is no column of the first line.
+pub const MARK: char = '\u{feff}';
+
+/// The place of the mention `${name}` that a fault is about, where its value takes several lines: the value begins before that.
+fn of_mention(text: &str, span: Span, message: &str) -> Span {
+    let found = || {
+        let name = message.split_once("`${")?.1.split_once('}')?.0;
+        let value = text.get(span.start..span.end.min(text.len()))?.trim_end();
+        let is_meant = |(at, _): &(usize, &str)| {
+            let inner = value[at + 2..].split_once('}').map(|(inner, _)| inner.trim());
+            inner == Some(name) && !value[..*at].ends_with('$')
+        };
+        let (at, _) = value.contains('\n').then(|| value.match_indices("${").find(is_meant)).flatten()?;
+        let end = at + value[at..].find('}')? + 1;
+        Some(Span { start: span.start + at, end: span.start + end, ..span })
+    };
+    found().unwrap_or(span)
+}
 
 /// Cuts a span to its first line and to character boundaries, so that a caret stands under it.
 fn visible(text: &str, range: Range<usize>) -> Range<usize> {
@@ -359,6 +383,34 @@ mod tests {
         assert!(shown.contains("p.yaml:2:8"), "{shown}");
         assert!(shown.contains("^^^^^^^^^^^^^"), "{shown}");
         assert!(shown.contains("did you mean `rasterise-dem`?"), "{shown}");
+    }
+
+    fn shown_at(text: &str, span: Span, message: &str) -> String {
+        let sources = vec![Source::file("p.yaml".into(), text, Path::new("."))];
+        Diagnostics { sources, list: vec![Diagnostic::at(span, message)] }.to_string()
+    }
+
+    #[test]
+    fn the_mark_of_utf_8_is_no_column() {
+        let text = "\u{feff}ab: 1\nc: 2\n";
+        assert!(shown_at(text, Span { source: 0, start: 7, end: 8 }, "m").contains("p.yaml:1:5"));
+        assert!(shown_at(text, Span { source: 0, start: 0, end: 1 }, "m").contains("p.yaml:1:1"));
+        assert!(shown_at(text, Span { source: 0, start: 12, end: 13 }, "m").contains("p.yaml:2:4"));
+    }
+
+    #[test]
+    fn a_mention_in_a_long_text_is_shown_on_its_line() {
+        for text in [
+            "a: >\n  $${no} one\n  two ${no}\n",
+            "a: |-\n  one\n  two ${ no }\nb: 1\n",
+            "a: \"one\n  two ${no}\"\n",
+            "a: one\n  two ${no}\n",
+        ] {
+            let text = if text.lines().count() > 2 { text } else { &format!("x: 1\n{text}") };
+            let span = crate::pipeline::Node::parse(text, 0).unwrap().get("a").unwrap().span;
+            let shown = shown_at(text, span, "`${no}` names nothing");
+            assert!(shown.contains("p.yaml:3:7"), "{text} {span:?} {shown}");
+        }
     }
 
     #[test]

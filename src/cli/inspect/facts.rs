@@ -1,6 +1,6 @@
 //! What there is to say of an artefact or a log: sizes, ranges, missing values.
 
-use rockface_core::artefact::{Artefact, Cloud, Frame, Mesh, Raster, Table, Transform};
+use rockface_core::artefact::{Artefact, Cameras, Cloud, Frame, Image, Mesh, Raster, Table, Transform};
 use rockface_raster::mesh_check;
 use rockface_rock::face::inspection::{Found, Inspection};
 #[cfg(test)]
@@ -63,6 +63,7 @@ pub fn of_artefact(artefact: &Artefact) -> Facts {
         Artefact::Cameras(cameras) => {
             facts.push(("frame".into(), cameras.frame.to_string().into()));
             facts.push(("sensors".into(), cameras.sensors.len().into()));
+            facts.push(("images".into(), of_images(cameras)));
         }
         Artefact::Meshes(meshes) => {
             facts.push(("frame".into(), meshes.frame.to_string().into()));
@@ -97,6 +98,15 @@ pub fn of_artefact(artefact: &Artefact) -> Facts {
         facts.push(("items".into(), items.len().into()));
     }
     facts
+}
+
+/// Name, sensor and projection centre of each image.
+fn of_images(cameras: &Cameras) -> Value {
+    let told = |image: &Image| {
+        let sensor = cameras.sensors.get(image.sensor).map(|sensor| sensor.name.as_str());
+        json!({"name": image.name, "sensor": sensor, "centre_m": image.centre_m})
+    };
+    cameras.images.iter().map(told).collect()
 }
 
 /// The way from the wall to the world as an operation of PROJ, which `ogr2ogr -ct` and `cct` take: `world = R^T (wall - translation) + origin`.
@@ -235,6 +245,33 @@ mod tests {
         let crowded = faulty["edges of three or more triangles"].as_str().unwrap();
         assert!(crowded.starts_with("1, the first at (") && !faulty.contains_key("holes"), "{crowded}");
         assert_eq!(faulty["triangles without area"], 1);
+    }
+
+    #[test]
+    fn images_of_cameras_are_told_by_name_sensor_and_place() {
+        let sensor = rockface_core::artefact::Sensor {
+            name: "s".into(),
+            width_px: 4,
+            height_px: 3,
+            f: 4.0,
+            cx: 1.5,
+            cy: 1.0,
+            b1: 0.0,
+            b2: 0.0,
+            k: [0.0; 4],
+            p: [0.0; 2],
+        };
+        let image = |name: &str| Image {
+            name: name.into(),
+            sensor: 0,
+            camera_from_object: [1.0, 0.0, 0.0, 0.0],
+            centre_m: [1.0, 2.0, 3.0],
+        };
+        let cameras = Cameras { frame: Frame::Wall, sensors: vec![sensor], images: vec![image("a"), image("b")] };
+        let facts: Map<String, Value> = of_artefact(&Artefact::Cameras(cameras)).into_iter().collect();
+        let images = facts["images"].as_array().unwrap();
+        assert_eq!(images[1], json!({"name": "b", "sensor": "s", "centre_m": [1.0, 2.0, 3.0]}));
+        assert_eq!((images.len(), &facts["items"]), (2, &json!(2)));
     }
 
     #[test]

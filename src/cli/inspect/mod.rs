@@ -167,9 +167,31 @@ impl OfRun {
 fn say_facts(facts: &Facts) {
     let width = facts.iter().map(|(name, _)| name.chars().count()).max().unwrap_or(0);
     for (name, value) in facts {
+        if let ("images", Some(images)) = (name.as_str(), value.as_array()) {
+            for (place, line) in image_lines(images).iter().enumerate() {
+                say(&format!("{:width$}  {line}", if place == 0 { "images" } else { "" }));
+            }
+            continue;
+        }
         let value = value.as_str().map_or_else(|| value.to_string(), str::to_owned);
         say(&format!("{name:width$}  {value}"));
     }
+}
+
+/// Images that are listed; JSON has all.
+const MOST_IMAGES: usize = 20;
+
+/// A line for each image: name, sensor and projection centre.
+fn image_lines(images: &[Value]) -> Vec<String> {
+    let text = |value: &Value| value.as_str().unwrap_or_default().to_owned();
+    let line = |image: &Value| {
+        format!("{} (sensor {}) at {} m", text(&image["name"]), text(&image["sensor"]), image["centre_m"])
+    };
+    let mut lines: Vec<String> = images.iter().take(MOST_IMAGES).map(line).collect();
+    if images.len() > MOST_IMAGES {
+        lines.push(format!("and {} more (`--json` lists all)", images.len() - MOST_IMAGES));
+    }
+    lines
 }
 
 fn of_record(key: &Digest, records: &[(Digest, Record)]) -> Result<Facts, CliError> {
@@ -295,4 +317,17 @@ fn importer_of_json(bytes: &[u8]) -> Option<&'static str> {
     let value: Value = serde_json::from_slice(bytes).ok()?;
     let has = |key: &str| value.get(key).is_some();
     (has("sensors") && has("images")).then_some("import-cameras")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn some_images_are_listed_and_the_rest_counted() {
+        let image = |name: usize| json!({"name": format!("i{name}"), "sensor": "s", "centre_m": [1.0, 2.0, 3.0]});
+        let lines = |count: usize| image_lines(&(0..count).map(image).collect::<Vec<_>>());
+        assert_eq!(lines(2), ["i0 (sensor s) at [1.0,2.0,3.0] m", "i1 (sensor s) at [1.0,2.0,3.0] m"]);
+        assert_eq!((lines(20).len(), lines(23).last().unwrap().as_str()), (20, "and 3 more (`--json` lists all)"));
+    }
 }

@@ -20,6 +20,7 @@ mod step;
 mod substitute;
 mod sweep;
 mod tree_file;
+mod unreadable;
 mod values;
 
 /// The keys of the language, place by place.
@@ -46,7 +47,7 @@ pub use part::{INSIDE, Interface, KindCheck, PartInput, PartText, Used};
 pub use reference::{Label, Reference};
 pub use step::{Gaps, Step, Stream};
 pub use substitute::{escape_hint, filled, mentioned, parted, value_bytes, value_of};
-pub use sweep::{is_same_axis, is_same_path};
+pub use sweep::{is_same_axis, is_set_by, is_swept_by};
 
 use rockface_cache::Seen;
 

@@ -7,7 +7,7 @@ use serde_json::{Number, Value};
 use serde_saphyr::Spanned;
 use serde_saphyr::options::NonFiniteFloatPolicy;
 
-use super::first_words;
+use super::unreadable;
 use crate::diagnostic::{Diagnostic, Span};
 
 /// A value with its place.
@@ -58,8 +58,11 @@ impl Node {
             non_finite_float_policy: NonFiniteFloatPolicy::PassThrough,
         };
         match serde_saphyr::from_str_with_options::<Spanned<Raw>>(text, options) {
-            Ok(raw) => Ok(raw_node(raw, text, source)),
-            Err(error) => Err(syntax_error(text, source, &error)),
+            Ok(raw) => match unreadable::second_merge(text, source) {
+                Some(fault) => Err(fault),
+                None => Ok(raw_node(raw, text, source)),
+            },
+            Err(error) => Err(unreadable::syntax_error(text, source, &error)),
         }
     }
 
@@ -279,78 +282,6 @@ fn span_of<T>(spanned: &Spanned<T>, source: usize) -> Span {
     Span { source, start, end: start + length.max(1) }
 }
 
-fn syntax_error(text: &str, source: usize, error: &serde_saphyr::Error) -> Diagnostic {
-    let (message, hint) = fault_of_text(error.without_snippet());
-    let diagnostic = match error.location() {
-        Some(location) => {
-            let start = byte_position(text, location.line() as usize, location.column() as usize);
-            if let Some(mention) = open_mention(text, start) {
-                let message = format!("`{mention}` without quotes cannot stand between braces or brackets");
-                let span = Span { source, start: start - 1, end: start - 1 + mention.len() };
-                return Diagnostic::at(span, message).hint(format!("put quotes around it: \"{mention}\""));
-            }
-            if let Some(slip) = first_words::slip(text, start, &message) {
-                let span = Span { source, start: slip.bytes.start, end: slip.bytes.end };
-                return Diagnostic::at(span, slip.message).hint(slip.hint);
-            }
-            Diagnostic::at(Span { source, start, end: start + 1 }, message)
-        }
-        None => Diagnostic::general(message),
-    };
-    if hint.is_empty() { diagnostic } else { diagnostic.hint(hint) }
-}
-
-/// What is wrong with a text, and the way out, in words that need no knowledge of the reader behind it.
-fn fault_of_text(error: &serde_saphyr::Error) -> (String, &'static str) {
-    use serde_saphyr::Error;
-    match error {
-        Error::MultipleDocuments { .. } => {
-            ("a second document begins here".to_owned(), "a pipeline is one document: remove the line `---` before it")
-        }
-        Error::DuplicateMappingKey { key, .. } => {
-            let key = key.as_deref().map(|key| format!(" `{key}`")).unwrap_or_default();
-            (format!("the key{key} occurs twice"), "rename or remove one of the two")
-        }
-        Error::UnknownAnchor { .. } => {
-            ("this alias names no anchor".to_owned(), "write `&name` before the value that `*name` repeats")
-        }
-        Error::Eof { .. } => ("there is nothing in it".to_owned(), "begin with `rockface: 1`"),
-        Error::Budget { .. }
-        | Error::AliasReplayLimitExceeded { .. }
-        | Error::AliasExpansionLimitExceeded { .. }
-        | Error::AliasReplayStackDepthExceeded { .. } => too_large(),
-        Error::Message { msg, .. } => (format!("this is not YAML that can be read: {msg}"), ""),
-        other => {
-            let told = other.to_string();
-            let reason = told.split(" at line ").next().unwrap_or_default();
-            if reason.contains("recursion limit") || reason.contains("budget breached") {
-                return too_large();
-            }
-            let message = format!("this is not YAML that can be read: {reason}");
-            (message, "look for a missing quote, bracket or space after `:`")
-        }
-    }
-}
-
-fn too_large() -> (String, &'static str) {
-    let message = "the text is larger or nested deeper than a pipeline may be".to_owned();
-    (message, "divide it, or repeat less by `*`")
-}
-
-/// The `${name}` whose brace stands at a place, on which readers stumble where it is not quoted.
-fn open_mention(text: &str, at: usize) -> Option<&str> {
-    let mention = text.get(at.checked_sub(1)?..).filter(|rest| rest.starts_with("${"))?;
-    let end = mention.find(['}', '\n']).filter(|end| mention[*end..].starts_with('}'))?;
-    mention.get(..=end)
-}
-
-/// The byte of a line and column, both counted from one, the column in characters.
-fn byte_position(text: &str, line: usize, column: usize) -> usize {
-    let line_start: usize = text.split_inclusive('\n').take(line.saturating_sub(1)).map(str::len).sum();
-    let rest = &text[line_start.min(text.len())..];
-    line_start + rest.char_indices().nth(column.saturating_sub(1)).map_or(rest.len(), |(offset, _)| offset)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -371,24 +302,6 @@ mod tests {
     fn words_that_look_like_booleans_stay_words() {
         let node = Node::parse("y: no\nn: on\nt: true\n", 0).unwrap();
         assert_eq!(node.to_value().to_string(), r#"{"n":"on","t":true,"y":"no"}"#);
-    }
-
-    #[test]
-    fn unreadable_texts_say_why() {
-        let said = |text: &str| {
-            let fault = Node::parse(text, 0).unwrap_err();
-            format!("{} | {}", fault.message, fault.hint.unwrap_or_default())
-        };
-        for text in ["a: {b: ${x}}", "a: [${x}, 1]", "a: {b: ${x}/y, c: 1}"] {
-            assert!(said(text).contains("`${x}` without quotes") && said(text).contains("\"${x}\""), "{}", said(text));
-        }
-        assert!(said("a: {b: 1").contains("can be read: ") && said("a: b: c").contains("not allowed"));
-        let deep = format!("a: {}{}", "[".repeat(5000), "]".repeat(5000));
-        let level = |i: u32| format!("a{i}: &a{i} [{}]\n", vec![format!("*a{}", i.wrapping_sub(1)); 10].join(", "));
-        let repeated = format!("a0: &a0 [1, 2]\n{}", (1..9).map(level).collect::<String>());
-        for text in [deep, repeated] {
-            assert!(said(&text).contains("larger or nested deeper"), "{}", said(&text));
-        }
     }
 
     #[test]

@@ -3,9 +3,11 @@
 use std::collections::BTreeSet;
 
 use super::node::{Data, Key, Node};
-use super::parameter::{as_given, is_declared};
+use super::parameter::{comment_after, is_declared, is_text, text_as_written};
+use super::part::INSIDE;
 use super::reader::TOP;
 use super::substitute::{mentioned, parted};
+use super::sweep::{keep_reseeding, plain_path};
 use crate::diagnostic::{Diagnostic, Source, Span, nearest};
 
 /// The most keys of a path: nothing in a pipeline is nested deeper.
@@ -46,14 +48,16 @@ pub struct Late {
     pub value: Node,
     /// Where the path stands.
     pub span: Span,
+    /// Whether the value is an axis of swept values, which reseeds where the axis does whose place it takes.
+    pub is_swept: bool,
 }
 
 impl Late {
     /// The value, if its path leads into a step or axis that a part makes: such names have a `/`.
     fn of(keys: &[&str], value: Node, span: Span) -> Result<Self, Node> {
         match keys {
-            ["steps" | "axes", name, _, ..] if name.contains('/') => {
-                Ok(Self { keys: keys.iter().map(ToString::to_string).collect(), value, span })
+            ["steps", name, _, ..] | ["axes", name, ..] if name.contains(INSIDE) => {
+                Ok(Self { keys: keys.iter().map(ToString::to_string).collect(), value, span, is_swept: false })
             }
             _ => Err(value),
         }
@@ -66,7 +70,11 @@ impl Late {
             return Ok(false);
         }
         let rest: Vec<&str> = rest.iter().map(String::as_str).collect();
-        put(entry, &rest, self.value.clone(), self.span).map(|()| true)
+        let mut value = self.value.clone();
+        if self.is_swept {
+            keep_reseeding(&mut value, Some(entry), self.span);
+        }
+        put(entry, &rest, value, self.span).map(|()| true)
     }
 }
 
@@ -79,13 +87,6 @@ pub fn apply(root: &mut Node, text: &str, sources: &mut Vec<Source>) -> Result<O
     let Some((path, value)) = text.split_once('=') else {
         return Err(Diagnostic::at(here(0, text.len()), "expected PATH=VALUE").hint("for example --set seed=7"));
     };
-    let begins = path.len() + 1;
-    let mut node = Node::parse(value, source).map_err(|mut fault| {
-        fault.span =
-            Some(fault.span.map_or(here(begins, text.len()), |span| here(span.start + begins, span.end + begins)));
-        fault
-    })?;
-    shift(&mut node, begins);
     let keys: Vec<&str> = path.split('.').map(str::trim).collect();
     if keys.iter().any(|key| key.is_empty()) {
         return Err(Diagnostic::at(here(0, path.len()), format!("`{path}` is not a path of keys")));
@@ -97,10 +98,58 @@ pub fn apply(root: &mut Node, text: &str, sources: &mut Vec<Source>) -> Result<O
         let fault = Diagnostic::at(here(0, path.len()), format!("the pipeline has no key `{first}`"));
         return Err(fault.hint(format!("did you mean `{meant}`?")));
     }
-    let declared =
-        if let ["params", name] = keys[..] { root.get("params").and_then(|own| own.get(name)) } else { None };
-    let node = as_given(declared, node, text);
+    check_once(root, &keys, value, &sources[..source], here(0, path.len()))?;
+    let declared = match keys[..] {
+        ["params", name] | ["params", name, "default"] => root.get("params").and_then(|own| own.get(name)),
+        _ => None,
+    };
+    let declared = declared.filter(|node| is_declared(node));
+    let node = if is_text(declared) {
+        text_as_written(value, here(path.len() + 1, text.len()))
+    } else {
+        parsed(value, here(path.len() + 1, text.len()))?
+    };
     place(root, &keys, node, here(0, path.len()))
+}
+
+/// A value of the command line, with places in the whole text of its option.
+fn parsed(value: &str, place: Span) -> Result<Node, Diagnostic> {
+    let mut node = Node::parse(value, place.source).map_err(|mut fault| {
+        let moved = |span: Span| Span { start: span.start + place.start, end: span.end + place.start, ..span };
+        fault.span = Some(fault.span.map_or(place, moved));
+        fault
+    })?;
+    if let Some(comment) = comment_after(&node, value) {
+        let fault = Diagnostic::at(place, format!("`{comment}` would be a comment, and be lost"));
+        return Err(fault.hint(format!("put the value in quotes if that is part of it: '\"{}\"'", value.trim())));
+    }
+    shift(&mut node, place.start);
+    Ok(node)
+}
+
+/// Of a path that is given twice the last value counts, but two seeds are a fault, since `--seed` has no place among `--set`; so is a value
+/// that is replaced with all that is around it.
+fn check_once(root: &Node, keys: &[&str], value: &str, earlier: &[Source], span: Span) -> Result<(), Diagnostic> {
+    let path = keys.join(".");
+    let is_typed = match keys {
+        ["params", name] => root.get("params").and_then(|own| own.get(name)).is_some_and(is_declared),
+        _ => false,
+    };
+    let mut former =
+        earlier.iter().filter(|source| source.name == "--set").filter_map(|source| source.text.split_once('='));
+    let contradicts = |(known, first): &(&str, &str)| {
+        let known = plain_path(known);
+        let is_below = known.strip_prefix(path.as_str()).is_some_and(|rest| rest.starts_with('.'));
+        path == "seed" && known == path && first.trim() != value.trim() || is_below && !is_typed
+    };
+    let Some((known, first)) = former.find(contradicts) else { return Ok(()) };
+    let fault =
+        Diagnostic::at(span, format!("`{path}` is set twice: `{known}={first}` is given before", known = known.trim()));
+    Err(fault.hint(if path == "seed" {
+        "leave out one `--set seed=…`, or `--seed`"
+    } else {
+        "leave out one of the two"
+    }))
 }
 
 /// Puts a value where it belongs: at its path, as the default of a parameter that is declared with its type, or, as it is
@@ -229,6 +278,54 @@ mod tests {
         check("params: {s: {type: text}}", "params.s=1e3", r#"{"params":{"s":{"default":"1e3","type":"text"}}}"#);
         check("params: {s: {type: text}}", "params.s=true", r#"{"params":{"s":{"default":"true","type":"text"}}}"#);
         check("params: {s: 2}", "params.s=1e3", r#"{"params":{"s":1000.0}}"#);
+    }
+
+    #[test]
+    fn a_text_is_taken_as_it_is_written() {
+        let yaml = "params: {s: {type: text, default: x}, p: {type: path}}";
+        let set = |given: &str| {
+            let mut root = Node::parse(yaml, 0).unwrap();
+            apply(&mut root, given, &mut vec![Source::given("p", yaml)]).unwrap();
+            root.get("params").unwrap().get(&given[7..8]).unwrap().get("default").unwrap().to_value()
+        };
+        for text in ["Face #3", "a: b", "[1]", "@a", "{x", "#1", "\"a", "\"a\" and \"b\"", "a\nb", "017", "- a"] {
+            assert_eq!(set(&format!("params.s={text}")), text);
+        }
+        assert_eq!(set("params.p=scan #1/a: b.ply"), "scan #1/a: b.ply");
+        // Quotes around the whole say where it begins and ends.
+        assert_eq!(set("params.s= ' a' "), " a");
+        assert_eq!(set("params.s.default=\"\""), "");
+        assert!(set("params.s=").is_null() && set("params.s=~").is_null());
+    }
+
+    fn fault_of(yaml: &str, sets: &[&str]) -> Option<String> {
+        let (mut root, mut sources) = (Node::parse(yaml, 0).unwrap(), vec![Source::given("p", yaml)]);
+        sets.iter().find_map(|set| apply(&mut root, set, &mut sources).err()).map(|fault| fault.message)
+    }
+
+    #[test]
+    fn nothing_is_lost_behind_a_number_sign() {
+        let told = fault_of("steps: {a: {stage: b}}", &["steps.a.with.title=Face #3"]).unwrap();
+        assert_eq!(told, "`#3` would be a comment, and be lost");
+        assert!(fault_of("seed: 1", &["name=#3"]).is_some());
+        assert_eq!(fault_of("seed: 1", &["name='Face #3'"]), None);
+        assert_eq!(fault_of("seed: 1", &["name=Face#3"]), None);
+    }
+
+    #[test]
+    fn contradicting_values_are_refused() {
+        let yaml = "{params: {x: {type: number}, m: {k: 1}}, seed: 1}";
+        for sets in [["seed=5", "seed=4"], ["params.m.k=1", "params.m={k: 2}"]] {
+            assert!(fault_of(yaml, &sets).is_some_and(|told| told.contains("is set twice")), "{sets:?}");
+        }
+        for sets in [
+            ["seed=5", "seed= 5"],
+            ["params.x=1", " params . x =2"],
+            ["params.m={k: 2}", "params.m.k=3"],
+            ["params.x.max=9", "params.x=2"],
+        ] {
+            assert_eq!(fault_of(yaml, &sets), None, "{sets:?}");
+        }
     }
 
     #[test]

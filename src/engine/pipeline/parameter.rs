@@ -127,17 +127,44 @@ pub fn is_declared(node: &Node) -> bool {
     node.get("type").and_then(Node::text).is_some()
 }
 
+/// Whether a parameter is declared as text, or as a path, which is taken from the command line as it is written.
+pub fn is_text(declared: Option<&Node>) -> bool {
+    let word = declared.and_then(|declared| declared.get("type")?.text());
+    word.is_some_and(|word| word == ValueKind::Text.word() || word == ValueKind::Path.word())
+}
+
+/// A text of the command line: what quotes around the whole contain, or all of it as it is written, without the space
+/// around it. Nothing at all, `null` and `~` are no text but `null`. The place of the value leads into its own text.
+pub fn text_as_written(written: &str, span: Span) -> Node {
+    let trimmed = written.trim();
+    let is_quoted = trimmed.starts_with(['"', '\'']);
+    let parsed = Node::parse(trimmed, span.source).ok().filter(|node| {
+        let is_nothing = matches!(node.data, Data::Scalar(Value::Null)) && node.written.is_empty();
+        (is_quoted && node.text().is_some() || is_nothing) && comment_after(node, trimmed).is_none()
+    });
+    let data = parsed.map_or_else(|| Data::Scalar(Value::String(trimmed.to_owned())), |node| node.data);
+    Node::made(span, data)
+}
+
+/// What a reader of YAML takes for a comment behind a single value: it would be lost.
+pub fn comment_after<'t>(node: &Node, written: &'t str) -> Option<&'t str> {
+    let is_nothing = matches!(node.data, Data::Scalar(Value::Null)) && node.written.is_empty();
+    let rest = written.get(node.span.end.min(written.len())..)?.trim();
+    let rest = if is_nothing && written.trim().starts_with('#') { written.trim() } else { rest };
+    (matches!(node.data, Data::Scalar(_)) && rest.starts_with('#')).then_some(rest)
+}
+
 /// A value of the command line as the parameter takes it: where that is declared as text, also `1e3`, `017` and `true` are text, as
 /// they are written. Places of the value lead into `text`.
 pub fn as_given(declared: Option<&Node>, node: Node, text: &str) -> Node {
-    let is_text = declared.and_then(|declared| declared.get("type")?.text()) == Some(ValueKind::Text.word());
     let written = match &node.data {
         Data::Scalar(Value::Null) if node.written.is_empty() => return node,
-        Data::Scalar(Value::Null | Value::Bool(_) | Value::Number(_)) if is_text && !node.written.is_empty() => {
-            node.written.clone()
-        }
-        Data::Scalar(Value::Bool(_)) if is_text => {
-            text.get(node.span.start..node.span.end).unwrap_or_default().trim().to_owned()
+        Data::Scalar(Value::Null | Value::Bool(_) | Value::Number(_)) if is_text(declared) => {
+            if node.written.is_empty() {
+                text.get(node.span.start..node.span.end).unwrap_or_default().trim().to_owned()
+            } else {
+                node.written.clone()
+            }
         }
         _ => return node,
     };

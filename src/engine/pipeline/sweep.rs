@@ -5,28 +5,32 @@ use serde_json::Value;
 use super::design::tidy;
 use super::node::{Data, Key, Node};
 use super::overrides::{Late, check_depth, check_exists, place, put};
-use super::parameter::{as_given, is_declared};
+use super::parameter::{as_given, comment_after, is_declared, is_text, text_as_written};
+use super::part::INSIDE;
 use super::reader::Reader;
 use crate::diagnostic::{Diagnostic, Source, Span};
 
+/// The key of an axis that says whether it reseeds.
+const RESEEDS: &str = "reseeds";
+/// How sweeps are written.
+const HINT: &str = "for example --sweep sigma_px=0.6,0.7,0.8 or --sweep params.cell_m=0.01..0.05:5";
 /// The most values of a range.
 const VALUES_LIMIT: usize = 1_000_000;
 
 /// Adds or replaces one axis. `sigma=0.6,0.7` is an axis; `params.cell_m=0.01,0.02` makes an axis of the parameter's name
 /// out of it; `steps.dem.with.cell_m=…` lets that one value follow an axis called like its last key, or `swept_cell_m` where a
-/// parameter has that name already. Values are listed with commas, or `lowest..highest:count`.
+/// parameter or an axis has that name already. Values are listed with commas, or `lowest..highest:count`. An axis that
+/// takes the place of another reseeds where that one does.
 pub fn apply(root: &mut Node, text: &str, sources: &mut Vec<Source>) -> Result<Option<Late>, Diagnostic> {
     let source = sources.len();
     sources.push(Source::given("--sweep", text));
     let here = |from: usize, to: usize| Span { source, start: from, end: to };
-    let hint = "for example --sweep sigma_px=0.6,0.7,0.8 or --sweep params.cell_m=0.01..0.05:5";
     let Some((path, values)) = text.split_once('=') else {
-        return Err(Diagnostic::at(here(0, text.len()), "expected AXIS=VALUES").hint(hint));
+        return Err(Diagnostic::at(here(0, text.len()), "expected AXIS=VALUES").hint(HINT));
     };
     let path_span = here(0, path.len());
     let values_span = here(path.len() + 1, text.len());
     check_once(path, values, &sources[..source], path_span)?;
-    let mut values = listed(values, values_span).map_err(|message| Diagnostic::at(values_span, message).hint(hint))?;
     let mut keys: Vec<&str> = path.split('.').map(str::trim).collect();
     check_depth(&keys, path_span)?;
     // A bare name is an axis; where there is none, the parameter of that name.
@@ -37,37 +41,80 @@ pub fn apply(root: &mut Node, text: &str, sources: &mut Vec<Source>) -> Result<O
     {
         keys.insert(0, "params");
     }
-    check_not_set(&keys.join("."), &sources[..source], path_span)?;
-    let mut late = None;
-    if !matches!(keys[..], ["steps", name, ..] if name.contains('/')) {
+    let declared =
+        if let ["params", name] = keys[..] { root.get("params").and_then(|all| all.get(name)) } else { None };
+    let listed = if is_text(declared) { texts(values, values_span) } else { listed(values, values_span) };
+    let values = listed.map_err(|message| Diagnostic::at(values_span, message).hint(HINT))?;
+    let values: Vec<Node> = values.into_iter().map(|value| as_given(declared, value, text)).collect();
+    check_not_set(&keys, &sources[..source], path_span)?;
+    if !matches!(keys[..], ["steps", name, ..] if name.contains(INSIDE)) {
         check_exists(root, &keys, path_span)?;
     }
-    let name = match keys[..] {
-        [name] | ["axes", name] => name.to_owned(),
+    let key = |name: &str| Key { span: path_span, name: name.to_owned() };
+    let swept = |values: Vec<Node>| {
+        let list = Node::made(values_span, Data::List(values));
+        Node::made(path_span, Data::Map(vec![(key("values"), list)]))
+    };
+    match keys[..] {
+        [name] | ["axes", name] if name.contains(INSIDE) => {
+            let keys = vec!["axes".to_owned(), name.to_owned()];
+            Ok(Some(Late { keys, value: swept(values), span: path_span, is_swept: true }))
+        }
+        [name] | ["axes", name] => {
+            if let Some(path) = maker(root, name, sources).filter(|path| axis_of(path) != name) {
+                let fault = Diagnostic::at(path_span, format!("axis `{name}` is swept twice"));
+                return Err(fault.hint(format!("`{path}` makes it already: give this axis another name")));
+            }
+            let mut axis = swept(values);
+            keep_reseeding(&mut axis, root.get("axes").and_then(|axes| axes.get(name)), path_span);
+            put(root, &["axes", name], axis, path_span).map(|()| None)
+        }
         ["params", name] => {
-            let declared = root.get("params").and_then(|own| own.get(name));
-            values = values.into_iter().map(|value| as_given(declared, value, text)).collect();
             check_declared(root, name, &values)?;
+            if has("axes", name) && maker(root, name, sources).is_none() {
+                let fault = Diagnostic::at(path_span, format!("`{name}` is both a parameter and an axis"));
+                return Err(fault.hint("rename one: ${name} would be ambiguous"));
+            }
             remove(root, "params", name);
-            name.to_owned()
+            put(root, &["axes", name], swept(values), path_span).map(|()| None)
         }
         ["steps", _, "with", .., name] => {
-            let taken = root.get("params").is_some_and(|params| params.get(name).is_some());
-            let axis = if taken { format!("swept_{name}") } else { name.to_owned() };
+            // Another value that follows an axis of that name, by a sweep of the same values, shares the axis.
+            let is_own = |axis: &str| maker(root, axis, sources).is_some_and(|path| axis_of(path) == name);
+            let mut axis = name.to_owned();
+            while has("params", &axis) || has("axes", &axis) && !is_own(&axis) {
+                axis = format!("swept_{axis}");
+            }
             let reference = Node::made(path_span, Data::Scalar(Value::from(format!("${{{axis}}}"))));
-            late = place(root, &keys, reference, path_span)?;
-            axis
+            let late = place(root, &keys, reference, path_span)?;
+            put(root, &["axes", &axis], swept(values), path_span).map(|()| late)
         }
         _ => {
             let message = format!("`{path}` is neither an axis nor a parameter nor a value of a step's `with`");
-            return Err(Diagnostic::at(path_span, message).hint(hint));
+            Err(Diagnostic::at(path_span, message).hint(HINT))
         }
+    }
+}
+
+/// Lets an axis reseed where the one whose place it takes does, as that says or as its form implies.
+pub fn keep_reseeding(axis: &mut Node, former: Option<&Node>, span: Span) {
+    let Some(former) = former else { return };
+    let implied = || {
+        // A drawn design has a count too.
+        let reseeds = ["items", "count", "from"].iter().any(|form| former.get(form).is_some());
+        (reseeds && former.get("sample").is_none()).then(|| Node::made(span, Data::Scalar(Value::Bool(true))))
     };
-    let key = |name: &str| Key { span: path_span, name: name.to_owned() };
-    let list = Node::made(values_span, Data::List(values));
-    let axis = Node::made(path_span, Data::Map(vec![(key("values"), list)]));
-    put(root, &["axes", &name], axis, path_span)?;
-    Ok(late)
+    let Some(reseeds) = former.get(RESEEDS).cloned().or_else(implied) else { return };
+    if let Data::Map(entries) = &mut axis.data {
+        entries.push((Key { span, name: RESEEDS.to_owned() }, reseeds));
+    }
+}
+
+/// The path of the sweep that an axis was added by; `None` for one that the pipeline or `--set` declares.
+fn maker<'s>(root: &Node, axis: &str, sources: &'s [Source]) -> Option<&'s str> {
+    let (key, _) = root.get("axes")?.entries()?.iter().find(|(key, _)| key.name == axis)?;
+    let source = sources.get(key.span.source).filter(|source| source.name == "--sweep")?;
+    parts(&source.text).map(|(path, _)| path)
 }
 
 /// The path and the values of a sweep.
@@ -75,14 +122,39 @@ fn parts(text: &str) -> Option<(&str, &str)> {
     text.split_once('=').map(|(path, values)| (path.trim(), values.trim()))
 }
 
+/// A path without the space around its keys.
+pub fn plain_path(path: &str) -> String {
+    path.split('.').map(str::trim).collect::<Vec<_>>().join(".")
+}
+
 /// The axis that a path makes.
 fn axis_of(path: &str) -> &str {
     path.rsplit('.').next().unwrap_or(path).trim()
 }
 
-/// Whether two texts are of one path, such as one that sets a value and one that sweeps it.
-pub fn is_same_path(one: &str, other: &str) -> bool {
-    parts(one).map(|(path, _)| path) == parts(other).map(|(path, _)| path)
+/// Whether one text sets what another sets, or all that is around it.
+pub fn is_set_by(former: &str, given: &str) -> bool {
+    let (Some((former, _)), Some((given, _))) = (parts(former), parts(given)) else { return false };
+    let (former, given) = (plain_path(former), plain_path(given));
+    former.strip_prefix(given.as_str()).is_some_and(|rest| rest.is_empty() || rest.starts_with('.'))
+}
+
+/// Whether a sweep leaves nothing of what another text sets.
+pub fn is_swept_by(set: &str, sweep: &str) -> bool {
+    let (Some((set, _)), Some((sweep, _))) = (parts(set), parts(sweep)) else { return false };
+    let (set, sweep) = (plain_path(set), plain_path(sweep));
+    let is_bare = !sweep.contains('.');
+    is_lost(&set, &sweep) || is_bare && ["axes", "params"].iter().any(|own| is_lost(&set, &format!("{own}.{sweep}")))
+}
+
+/// Whether a sweep of a path leaves nothing of what is set at another; whether an axis reseeds is kept.
+fn is_lost(set: &str, swept: &str) -> bool {
+    match set.strip_prefix(swept).and_then(|rest| rest.strip_prefix('.')) {
+        Some(below) if swept.starts_with("params.") => below == "default",
+        Some(below) if swept.starts_with("axes.") => below != RESEEDS,
+        Some(_) => true,
+        None => set == swept,
+    }
 }
 
 /// Whether two texts sweep one axis.
@@ -111,10 +183,11 @@ fn check_once(path: &str, values: &str, earlier: &[Source], span: Span) -> Resul
 }
 
 /// A value that is set and swept would silently be swept only.
-fn check_not_set(path: &str, earlier: &[Source], span: Span) -> Result<(), Diagnostic> {
+fn check_not_set(keys: &[&str], earlier: &[Source], span: Span) -> Result<(), Diagnostic> {
+    let path = if let [axis] = keys { format!("axes.{axis}") } else { keys.join(".") };
     let mut set = earlier.iter().filter(|source| source.name == "--set").filter_map(|source| parts(&source.text));
-    if set.any(|(known, _)| known == path) {
-        return Err(Diagnostic::at(span, format!("`{path}` is set and swept")).hint("leave out --set or --sweep"));
+    if let Some((known, _)) = set.find(|(known, _)| is_lost(&plain_path(known), &path)) {
+        return Err(Diagnostic::at(span, format!("`{known}` is set and swept")).hint("leave out --set or --sweep"));
     }
     Ok(())
 }
@@ -140,6 +213,27 @@ fn remove(root: &mut Node, section: &str, name: &str) {
     }
 }
 
+/// The values of a parameter that is declared as text: a range, or texts between commas as they are written.
+fn texts(values: &str, span: Span) -> Result<Vec<Node>, String> {
+    if let Some((lo, rest)) = values.split_once("..")
+        && let Ok(nodes) = range(lo, rest, span)
+    {
+        return Ok(nodes);
+    }
+    let parts = parted_by_commas(values)?;
+    let mut at = span.start;
+    let mut nodes = Vec::with_capacity(parts.len());
+    for value in parts {
+        let place = Span { start: at, end: at + value.len(), ..span };
+        at = place.end + 1;
+        if value.trim().is_empty() {
+            return Err("a value between two commas is missing".to_owned());
+        }
+        nodes.push(Node { span: place, ..text_as_written(value, place) });
+    }
+    Ok(nodes)
+}
+
 fn listed(values: &str, span: Span) -> Result<Vec<Node>, String> {
     // Paths and quoted texts may have two dots too.
     if let Some((lo, rest)) = values.split_once("..").filter(|_| !values.contains(['"', '/'])) {
@@ -147,17 +241,13 @@ fn listed(values: &str, span: Span) -> Result<Vec<Node>, String> {
     }
     let mut at = span.start;
     let mut nodes = Vec::new();
-    let parts = between_commas(values);
-    if let Some(number) = parts.windows(2).find_map(|pair| with_decimal_comma(pair[0], pair[1])) {
-        return Err(format!(
-            "commas part the values here: numbers are written with a point, {number}, and texts of digits in quotes, \"{}\"",
-            number.rsplit('.').next().unwrap_or_default()
-        ));
-    }
-    for value in parts {
+    for value in parted_by_commas(values)? {
         let place = Span { start: at, end: at + value.len(), ..span };
         at = place.end + 1;
         let node = Node::parse(value.trim(), span.source).map_err(|_| format!("`{value}` is no value"))?;
+        if let Some(comment) = comment_after(&node, value.trim()) {
+            return Err(format!("`{comment}` would be a comment; put the value in quotes: \"{}\"", value.trim()));
+        }
         match node.data {
             Data::Scalar(Value::Null) if node.written.is_empty() => {
                 return Err("a value between two commas is missing".to_owned());
@@ -180,14 +270,28 @@ fn with_decimal_comma(whole: &str, fraction: &str) -> Option<String> {
     (is_whole && is_fraction).then(|| format!("{whole}.{fraction}"))
 }
 
+/// The parts of a list with commas, unless two of them may be meant to be one number.
+fn parted_by_commas(values: &str) -> Result<Vec<&str>, String> {
+    let parts = between_commas(values);
+    match parts.windows(2).find_map(|pair| with_decimal_comma(pair[0], pair[1])) {
+        None => Ok(parts),
+        Some(number) => Err(format!(
+            "commas part the values here: numbers are written with a point, {number}, and texts of digits in quotes, \"{}\"",
+            number.rsplit('.').next().unwrap_or_default()
+        )),
+    }
+}
+
 /// The parts of a list with commas, but for those in double quotes.
 fn between_commas(values: &str) -> Vec<&str> {
-    let (mut quoted, mut escaped) = (false, false);
+    let (mut quoted, mut escaped, mut begins) = (false, false, true);
     values
         .split(|letter: char| {
             let is_end = letter == ',' && !quoted;
-            quoted ^= letter == '"' && !escaped;
+            // A quote inside a value opens nothing.
+            quoted ^= letter == '"' && !escaped && (quoted || begins);
             escaped = letter == '\\' && !escaped;
+            begins = is_end || begins && letter == ' ';
             is_end
         })
         .collect()
@@ -227,64 +331,4 @@ fn range(lo: &str, rest: &str, span: Span) -> Result<Vec<Node>, String> {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn commas_in_quotes_part_nothing() {
-        assert_eq!(super::between_commas(r#"1,"a,b","c\",d", e"#), ["1", r#""a,b""#, r#""c\",d""#, " e"]);
-    }
-
-    fn swept(yaml: &str, sweep: &str) -> String {
-        let mut root = Node::parse(yaml, 0).unwrap();
-        match apply(&mut root, sweep, &mut vec![Source::given("p", yaml)]) {
-            Ok(_) => root.to_value().to_string(),
-            Err(fault) => fault.message,
-        }
-    }
-
-    #[test]
-    fn an_axis_a_parameter_and_a_value_of_a_step() {
-        assert_eq!(swept("seed: 1", "k=0.5,a"), r#"{"axes":{"k":{"values":[0.5,"a"]}},"seed":1}"#);
-        assert_eq!(
-            swept("{params: {x: 1, y: 2}}", "params.x=1..3:3"),
-            r#"{"axes":{"x":{"values":[1,2,3]}},"params":{"y":2}}"#
-        );
-        assert_eq!(
-            swept("seed: 1", "a=0.05..0.2:7"),
-            r#"{"axes":{"a":{"values":[0.05,0.075,0.1,0.125,0.15,0.175,0.2]}},"seed":1}"#
-        );
-        assert!(swept("seed: 1", "a=-1e308..1e308:3").contains("wider"));
-        assert!(swept("seed: 1", "a=0,05,0,1").contains("with a point, 0.05"));
-        assert_eq!(swept("seed: 1", r#"m=01,02,"03""#).matches("with a point").count(), 0);
-        assert_eq!(swept("seed: 1", "a=3..2:3"), r#"{"axes":{"a":{"values":[3,2.5,2]}},"seed":1}"#);
-        assert_eq!(
-            swept("params: {s: {type: text}}", "s=1.0,1e3,true"),
-            r#"{"axes":{"s":{"values":["1.0","1e3","true"]}},"params":{}}"#
-        );
-        // A bare name is that of a parameter where there is no such axis.
-        assert_eq!(swept("{params: {x: 1, y: 2}}", "x=1,3"), r#"{"axes":{"x":{"values":[1,3]}},"params":{"y":2}}"#);
-        assert_eq!(
-            swept("{params: {y: 2}, axes: {x: {count: 4}}}", "x=1,3"),
-            r#"{"axes":{"x":{"values":[1,3]}},"params":{"y":2}}"#
-        );
-        assert_eq!(
-            swept("steps: {a: {stage: b}}", "steps.a.with.c=0..1:3"),
-            r#"{"axes":{"c":{"values":[0,0.5,1]}},"steps":{"a":{"stage":"b","with":{"c":"${c}"}}}}"#
-        );
-        // A parameter of that name stays what it is.
-        assert_eq!(
-            swept("{params: {c: 9}, steps: {a: {stage: b}}}", "steps.a.with.c=1,2"),
-            r#"{"axes":{"swept_c":{"values":[1,2]}},"params":{"c":9},"steps":{"a":{"stage":"b","with":{"c":"${swept_c}"}}}}"#
-        );
-    }
-
-    #[test]
-    fn what_cannot_be_swept_is_said() {
-        assert!(swept("seed: 1", "k").contains("AXIS=VALUES"));
-        assert!(swept("seed: 1", "params.x=1,2").contains("no parameter `x`"));
-        assert!(swept("seed: 1", "k=1..3").contains("no range"));
-        assert_eq!(swept("seed: 1", "k=0.05..0.05:3"), "from 0.05 to 0.05 there are no 3 different numbers");
-        assert!(swept("seed: 1", "k=1,,2").contains("missing"));
-    }
-}
+mod tests;

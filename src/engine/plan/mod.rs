@@ -1,6 +1,7 @@
 //! From pipeline to plan: resolve names, expand axes, key every step instance.
 
 mod axis_propagation;
+mod certain;
 mod completion;
 mod dynamic;
 mod faults;

@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 
 use rockface_core::Point;
 
+use super::certain::read_by_deferred;
 use super::graph::{Feed, Graph, GraphStep, ListPoint, Partners, Source};
 use crate::diagnostic::Diagnostic;
 
@@ -148,7 +149,8 @@ pub fn elements(graph: &Graph, step: &GraphStep, items: &[usize], feed: &Feed, t
     }
 }
 
-fn own_item(step: &GraphStep, items: &[usize], axis: usize) -> usize {
+/// The item that a step has of an axis at one of its points; the first where it does not depend on the axis.
+pub fn own_item(step: &GraphStep, items: &[usize], axis: usize) -> usize {
     step.axes.iter().position(|own| *own == axis).map(|place| items[place]).unwrap_or_default()
 }
 
@@ -175,7 +177,7 @@ fn list_point(graph: &Graph, step: &GraphStep, items: &[usize], list: &Feed) -> 
 }
 
 /// A step at the item of each of its axes.
-type StepPoint = (usize, Vec<usize>);
+pub type StepPoint = (usize, Vec<usize>);
 
 /// Instances that cannot be expanded before a list of pairs is known.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -200,7 +202,11 @@ impl Needed {
     /// The points that are needed; those whose inputs pairs tell are left out as long as these are not known.
     pub fn of(graph: &Graph) -> Self {
         let deferred = graph.deferred();
-        let starts = starts(graph);
+        let mut starts = starts(graph);
+        if deferred.iter().any(Option::is_some) {
+            let sure = read_by_deferred(graph, &deferred, &starts);
+            starts.extend(sure);
+        }
         let is_expanded = |point: &StepPoint| deferred[point.0].is_none();
         if !graph.pairs_items() {
             let waits = vec![None; graph.steps.len()];

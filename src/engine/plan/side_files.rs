@@ -46,8 +46,15 @@ pub fn check(raster: &Path, sight: &Sight) -> Result<(), String> {
     if sight.is_file(&about) {
         sight.hash(&about)?;
         let text = std::fs::read(&about).map_err(|error| format!("cannot read `{}`: {error}", about.display()))?;
-        if String::from_utf8_lossy(&text).contains("<NoDataValue") {
+        let text = String::from_utf8_lossy(&text);
+        if text.contains("<NoDataValue") {
             return Err(format!("`{}` has a no-data value, which is not read: {way}", about.display()));
+        }
+        // Other programs take this system before that of the raster.
+        if text.contains("<SRS") {
+            let way = "`gdal_translate IN.tif OUT.tif` writes one file that states it";
+            let what = "a coordinate reference system, which is not read";
+            return Err(format!("`{}` has {what}: {way}, or remove it if the raster's own is right", about.display()));
         }
     }
     Ok(())
@@ -75,6 +82,8 @@ mod tests {
         assert_eq!(checked("a.tif"), (Ok(()), 2));
         write("a.tif.aux.xml", "<PAMDataset><PAMRasterBand band=\"1\"><NoDataValue>-99</NoDataValue>");
         assert!(checked("a.tif").0.unwrap_err().contains("a.tif.aux.xml` has a no-data value, which is not read"));
+        write("a.tif.aux.xml", "<PAMDataset><SRS>EPSG:2229</SRS></PAMDataset>");
+        assert!(checked("a.tif").0.unwrap_err().contains("has a coordinate reference system, which is not read"));
         write("b.TIFF.msk", "");
         assert!(checked("b.TIFF").0.unwrap_err().contains("b.TIFF.msk` is a mask, which is not read"));
         assert_eq!(checked("c.xyz"), (Ok(()), 0));

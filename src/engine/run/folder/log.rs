@@ -1,11 +1,11 @@
 //! The MCAP log of a run, put together from what the records of its steps keep.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::{BufWriter, Seek, SeekFrom, Write};
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
-use rockface_cache::{Cost, Outcome, Outputs, Record, Store};
+use rockface_cache::{Cost, Digest, Outcome, Outputs, Record, Store};
 use rockface_core::Entry;
 use rockface_core::Look;
 use rockface_core::artefact::{Artefact, Kind};
@@ -14,7 +14,7 @@ use super::files::{failed, going_on, put, write_file};
 use crate::pipeline::LogLevel;
 use crate::plan::Plan;
 use crate::run::{InstanceResult, RunError, Summary};
-use crate::watch::step_log::{self, Shown};
+use crate::watch::step_log::{self, Shown, StepLogError};
 use crate::watch::{Facts, Made, RunLog, StepNote, layout};
 
 /// Its file in the run folder.
@@ -75,6 +75,8 @@ pub struct Telling<'a> {
     pub about: BTreeMap<String, String>,
     /// The text of the pipeline.
     pub pipeline_text: &'a str,
+    /// Blobs that a step was computed again for already.
+    pub lost: &'a BTreeSet<Digest>,
     /// Set when the user asks for a stop.
     pub stop: &'a AtomicBool,
 }
@@ -158,11 +160,15 @@ impl Telling<'_> {
         }
     }
 
-    /// The sketches of an instance, made now from its outputs if none were made when it ran; otherwise why there are none.
+    /// The sketches of an instance, made now from its outputs if none were made when it ran; otherwise why there are none. Lost ones
+    /// are an error the first time: they are recomputed with their step.
     fn shown(&self, result: &InstanceResult, outcome: &Outcome) -> Result<Result<Vec<Shown>, String>, RunError> {
         match step_log::read(outcome, self.store) {
             Ok(Some(shown)) => return Ok(Ok(shown)),
             Ok(None) => {}
+            Err(StepLogError::Store(error)) if outcome.sketches.is_some_and(|blob| !self.lost.contains(&blob)) => {
+                return Err(error.into());
+            }
             Err(error) => return Ok(Err(error.of_one_step()?)),
         }
         let kept = outcome.outputs.values().all(|output| self.store.contains(&output.digest));

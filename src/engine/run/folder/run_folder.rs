@@ -102,7 +102,7 @@ pub struct Finished {
 ///
 /// # Errors
 ///
-/// A blob that is missing or damaged, among others: what a step reported too, unless it is among those that were `lost` before.
+/// A blob that is missing or damaged, among others: the log and the sketches of a step too, unless they are among those that were `lost` before.
 pub fn finish(
     plan: &Plan,
     summary: &Summary,
@@ -392,6 +392,7 @@ impl Writer<'_> {
             paths,
             about,
             pipeline_text,
+            lost: self.lost,
             stop: self.stop,
         }
         .write(folder)
