@@ -94,8 +94,11 @@ impl State {
             return Ok(());
         };
         if !known.agrees_with(crs) {
-            let text =
-                format!("`{first}` is in {known}, but `{port}` in {crs}: two coordinate reference systems in one step");
+            // Two systems without a code are often called the same.
+            let difference = known.difference(crs).map_or_else(String::new, |what| format!(", different in {what}"));
+            let text = format!(
+                "`{first}` is in {known}, but `{port}` in {crs}: two coordinate reference systems in one step{difference}"
+            );
             return Err(
                 StageError::new(text).hint("bring the files into one system first; nothing is reprojected here")
             );

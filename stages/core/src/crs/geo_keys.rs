@@ -3,7 +3,7 @@
 use super::stated::{Kind, Stated, linear_unit};
 use super::unit::Unit;
 use super::wkt::{Argument, Node};
-use super::{Crs, compound, definition, vertical_definition};
+use super::{Crs, Heights, compound, definition, is_depths, vertical_definition};
 
 const MODEL_TYPE: u16 = 1024;
 const CITATION: u16 = 1026;
@@ -164,6 +164,14 @@ impl GeoKeys<'_> {
 
     /// Adds the system of heights of a code, or notes that it is not known.
     fn add_heights(&self, stated: &mut Stated, code: u16) {
+        let is_named_depth =
+            || self.text(VERTICAL_CITATION).is_some_and(|name| name.to_ascii_lowercase().contains("depth"));
+        if is_depths(u32::from(code)) || code == USER_DEFINED && is_named_depth() {
+            let cited = self.text(VERTICAL_CITATION).map_or_else(String::new, |name| format!(" ({name})"));
+            stated.name = format!("{} with heights EPSG:{code}{cited}", stated.name);
+            stated.kind = Kind::Depths;
+            return;
+        }
         let known = Some(u32::from(code)).filter(|code| *code != u32::from(USER_DEFINED)).and_then(vertical_definition);
         match (known, &stated.node) {
             (Some(heights), Some(horizontal)) => {
@@ -212,17 +220,38 @@ fn alternative(key: u16) -> Option<u16> {
     pairs.iter().find(|(one, _)| *one == key).map(|(_, other)| *other)
 }
 
+/// The system that keys are written for: none state heights above the ellipsoid in a way that GDAL reads, so these are in our own metadata only.
+fn shown(crs: &Crs) -> Crs {
+    if Heights::of(&crs.node()) == Heights::Ellipsoid { crs.horizontal() } else { crs.clone() }
+}
+
+/// The codes that say all of a system, of the map and of heights; `None` where only its text does.
+fn codes(crs: &Crs) -> Option<(u16, Option<u16>)> {
+    let narrow = |code: u32| u16::try_from(code).ok().filter(|code| *code < USER_DEFINED);
+    let plane = narrow(crs.epsg()?)?;
+    if !crs.has_heights() {
+        return Some((plane, None));
+    }
+    Some((plane, Some(narrow(crs.vertical_epsg()?)?)))
+}
+
 /// Number of the model of a system: one without code is a text, which GDAL reads where the model is user-defined.
 pub fn model(crs: &Crs) -> u16 {
-    if crs.epsg().is_some_and(|code| code < u32::from(USER_DEFINED)) { 1 } else { USER_DEFINED }
+    if codes(&shown(crs)).is_some() { 1 } else { USER_DEFINED }
+}
+
+/// The minor revision of a directory: GDAL takes heights from files of GeoTIFF 1.1 on only.
+pub fn minor_revision(keys: &[[u16; 4]]) -> u16 {
+    u16::from(keys.iter().any(|[key, ..]| *key == VERTICAL))
 }
 
 /// The keys of a system in metres, to follow those of the raster, and the texts they refer to, which begin at byte `at`.
 pub fn written(crs: &Crs, at: usize) -> (Vec<[u16; 4]>, String) {
-    let narrow = |code: Option<u32>| code.and_then(|code| u16::try_from(code).ok()).filter(|code| *code < USER_DEFINED);
+    let crs = shown(crs);
+    let codes = codes(&crs);
     let mut keys = Vec::new();
     let mut ascii = String::new();
-    if let Some(code) = narrow(crs.epsg()) {
+    if let Some((code, _)) = codes {
         keys.push([PROJECTED, 0, 1, code]);
     } else {
         ascii = format!("{PE_STRING}{}|", crs.wkt());
@@ -230,7 +259,7 @@ pub fn written(crs: &Crs, at: usize) -> (Vec<[u16; 4]>, String) {
         keys.push([PROJECTED_CITATION, ASCII, ascii.len() as u16, at as u16]);
     }
     keys.push([LINEAR_UNITS, 0, 1, METRE]);
-    if let Some(code) = narrow(crs.vertical_epsg()) {
+    if let Some((_, Some(code))) = codes {
         keys.push([VERTICAL, 0, 1, code]);
         keys.push([VERTICAL_UNITS, 0, 1, METRE]);
     }

@@ -1,7 +1,7 @@
 //! Systems of heights by their EPSG codes.
 
-use super::parts;
 use super::wkt::{Argument, Node};
+use super::{parts, signature, stated};
 
 /// Codes of systems with heights, in which vertical systems are looked for.
 const COMPOUND_CODES: std::ops::RangeInclusive<u16> = 3901..=8912;
@@ -32,6 +32,8 @@ const FURTHER: &[(u32, &str, &str, u32)] = &[
     (5786, "Baltic 1982 height", "Baltic 1982", 5184),
     (5787, "EOMA 1980 height", "Baltic 1980", 5185),
     (5798, "EGM84 height", "EGM84 geoid", 5203),
+    (7962, "Poolbeg height (m)", "Poolbeg", 5152),
+    (7968, "NGVD29 height (m)", "National Geodetic Vertical Datum 1929", 5102),
     (7837, "DHHN2016 height", "Deutsches Haupthoehennetz 2016", 1170),
     (7839, "NZVD2016 height", "New Zealand Vertical Datum 2016", 1169),
     (8841, "MVGC height", "MOMRA Vertical Geodetic Control", 1219),
@@ -40,6 +42,104 @@ const FURTHER: &[(u32, &str, &str, u32)] = &[
     (9650, "Baltic 1986 height", "Baltic 1986", 1296),
     (9651, "EVRF2007-PL height", "European Vertical Reference Frame 2007 Poland", 1297),
 ];
+
+/// Systems in feet, and those in metres above the same datum (EPSG registry).
+const IN_METRES: &[(u32, u32)] = &[(5702, 7968), (5754, 7962), (6360, 5703), (8050, 5714), (8052, 5714), (8228, 5703)];
+
+/// Systems of depths, which count downwards, and those of heights in metres above the same datum; 0 where there is none (EPSG registry).
+const DEPTHS: &[(u32, u32)] = &[
+    (5336, 5735),
+    (5612, 5705),
+    (5614, 7979),
+    (5706, 5611),
+    (5715, 5714),
+    (5734, 5797),
+    (5739, 0),
+    (5789, 7979),
+    (5831, 5829),
+    (5861, 0),
+    (5862, 0),
+    (5863, 0),
+    (5864, 0),
+    (5865, 0),
+    (5866, 0),
+    (5867, 0),
+    (5873, 0),
+    (6357, 5703),
+    (6358, 5703),
+    (6359, 7968),
+    (7976, 5738),
+    (8051, 5714),
+    (8053, 5714),
+    (8358, 8357),
+    (8378, 0),
+    (8897, 0),
+    (9287, 0),
+    (9288, 0),
+    (9672, 0),
+    (10150, 0),
+    (10151, 0),
+    (10349, 0),
+    (10364, 5780),
+    (10370, 6178),
+    (10371, 6179),
+    (10372, 6185),
+    (10373, 6181),
+    (10374, 6182),
+    (10375, 6180),
+    (10376, 6183),
+    (10377, 6184),
+    (10378, 6187),
+    (10379, 6186),
+    (10547, 0),
+    (10548, 0),
+    (10549, 0),
+    (10550, 0),
+    (10551, 0),
+    (10552, 0),
+    (10649, 0),
+    (10650, 0),
+    (10678, 0),
+];
+
+/// Whether a code is of depths.
+pub fn is_depths(code: u32) -> bool {
+    DEPTHS.iter().any(|(depths, _)| *depths == code)
+}
+
+/// The code of the heights in metres above the datum of depths, where the registry has any.
+pub fn heights_for_depths(code: u32) -> Option<u32> {
+    let (_, heights) = DEPTHS.iter().find(|(depths, _)| *depths == code)?;
+    Some(*heights).filter(|heights| *heights > 0)
+}
+
+/// Whether a vertical system counts downwards: by its axis, or by the sign that ESRI gives it.
+pub fn points_down(node: &Node) -> bool {
+    let is_down = |child: &Node| match child.keyword.as_str() {
+        "AXIS" => matches!(child.arguments.get(1), Some(Argument::Word(way)) if way.eq_ignore_ascii_case("down")),
+        "PARAMETER" => child.name().eq_ignore_ascii_case("direction") && child.number(1).is_some_and(|sign| sign < 0.0),
+        _ => false,
+    };
+    node.nodes().any(is_down) || node.epsg().is_some_and(is_depths)
+}
+
+/// The system in metres above the datum of one in feet, where the registry has it.
+pub fn metric_of(node: &Node) -> Option<Node> {
+    if let Some(code) = node.epsg() {
+        let (_, metric) = IN_METRES.iter().find(|(feet, _)| *feet == code)?;
+        return vertical_definition(*metric);
+    }
+    let datum = |node: &Node| {
+        let datum = node.child(&["VERT_DATUM", "VDATUM", "VRF", "VERTICALDATUM", "ENSEMBLE"])?;
+        Some(signature::plain(datum.name()))
+    };
+    let wanted = datum(node)?;
+    let is_metric = |node: &Node| stated::linear_unit(node).is_some_and(|unit| unit.is_metre()) && !points_down(node);
+    let all = compound_texts().filter_map(vertical_part).chain(FURTHER.iter().map(built));
+    let mut found = all.filter(|known| is_metric(known) && datum(known).as_ref() == Some(&wanted));
+    let first = found.next()?;
+    found.all(|other| other.epsg() == first.epsg()).then_some(first)
+}
 
 /// The definition of a vertical system: from a compound one that has it, or from the list here.
 pub fn vertical_definition(code: u32) -> Option<Node> {
@@ -80,6 +180,32 @@ fn built((code, name, datum, datum_code): &(u32, &str, &str, u32)) -> Node {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn heights_in_feet_become_those_in_metres_above_their_datum() {
+        for (feet, metric) in IN_METRES {
+            let found = vertical_definition(*metric).unwrap_or_else(|| panic!("EPSG:{metric}"));
+            assert!(!points_down(&found) && found.epsg() == Some(*metric), "EPSG:{feet}");
+        }
+        let esri = |datum: &str| {
+            let text = format!("VERTCS[\"of a file\",VDATUM[\"{datum}\"],UNIT[\"Foot_US\",0.3048006096012192]]");
+            metric_of(&Node::parse(&text).unwrap()).and_then(|node| node.epsg())
+        };
+        assert_eq!(esri("North_American_Vertical_Datum_1988"), Some(5703));
+        assert_eq!((esri("National_Geodetic_Vertical_Datum_1929"), esri("our gauge")), (Some(7968), None));
+    }
+
+    #[test]
+    fn depths_are_told_from_heights() {
+        assert!(
+            DEPTHS.is_sorted()
+                && known_codes().iter().all(|code| {
+                    vertical_definition(*code).is_some_and(|node| points_down(&node)) == is_depths(*code)
+                })
+        );
+        assert_eq!((heights_for_depths(6357), heights_for_depths(5739)), (Some(5703), None));
+        assert!(is_depths(5739) && !is_depths(5703));
+    }
 
     #[test]
     fn every_listed_system_is_found_by_its_code_in_metres() {

@@ -1,7 +1,8 @@
 //! A system whose axes are in feet, made the same system in metres.
 
+use super::heights::metric_of;
 use super::wkt::{Argument, Node};
-use super::{compound, parts};
+use super::{compound, has_three_axes, parts};
 
 /// Parameters of a projection that are lengths in the unit of the system, in WKT 1.
 const LENGTHS: [&str; 4] = ["false_easting", "false_northing", "satellite_height", "height"];
@@ -9,17 +10,22 @@ const LENGTHS: [&str; 4] = ["false_easting", "false_northing", "satellite_height
 /// The same system in metres; `horizontal` and `vertical` are the metres of its units. A system that is in metres stays what it is.
 pub fn in_metres(node: &Node, horizontal: f64, vertical: f64) -> Node {
     let (plane, height) = parts(node);
-    let plane = converted(plane, horizontal);
+    let is_metre = |metres: f64| (metres - 1.0).abs() < f64::EPSILON;
+    let is_kept = is_metre(horizontal) && (is_metre(vertical) || !has_three_axes(plane));
+    let plane = if is_kept { plane.clone() } else { converted(plane, horizontal) };
+    let in_metres = |height: &Node| {
+        if is_metre(vertical) {
+            return height.clone();
+        }
+        metric_of(height).unwrap_or_else(|| converted(height, vertical))
+    };
     match height {
         None => plane,
-        Some(height) => compound(&plane, &converted(height, vertical)),
+        Some(height) => compound(&plane, &in_metres(height)),
     }
 }
 
 fn converted(node: &Node, metres: f64) -> Node {
-    if (metres - 1.0).abs() < f64::EPSILON {
-        return node.clone();
-    }
     // Neither its code nor what it is used for is that of the system in metres.
     let mut changed = node.clone().renamed(&format!("{}, in metres", node.name()));
     changed.arguments.retain(|argument| {

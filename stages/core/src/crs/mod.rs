@@ -7,17 +7,19 @@ mod datums;
 pub mod geo_keys;
 mod heights;
 mod metric;
+mod scale;
 mod settle;
 mod signature;
 mod stated;
 mod unit;
 pub mod wkt;
 
+pub use scale::Scale;
 pub use settle::{CrsName, Settled, Tool, settle, wall_without_system};
 pub use stated::{Kind, Stated};
 pub use unit::Unit;
 
-use heights::{known_codes, vertical_definition};
+use heights::{heights_for_depths, is_depths, known_codes, points_down, vertical_definition};
 use wkt::{Argument, Node};
 
 /// A projected coordinate reference system in metres, perhaps with a vertical one.
@@ -38,6 +40,10 @@ impl Crs {
     /// stays: that of a system which is alike is another statement.
     pub(crate) fn of_node(node: &Node) -> Self {
         let (horizontal, vertical) = parts(node);
+        if has_three_axes(horizontal) {
+            // No code says that heights are above the ellipsoid.
+            return Self(node.to_string());
+        }
         let known = horizontal.epsg().filter(|code| definition(*code).is_some_and(|known| is_metric(&known)));
         let code = if horizontal.epsg().is_some() { known } else { signature::find(horizontal) };
         let height =
@@ -77,9 +83,23 @@ impl Crs {
         self.codes().map_or_else(|| parts(&self.node()).1.and_then(Node::epsg), |(_, height)| height)
     }
 
-    /// Whether it says what heights are above.
+    /// Whether it says what heights are above: a vertical datum, or the ellipsoid.
     pub fn has_heights(&self) -> bool {
-        parts(&self.node()).1.is_some()
+        Heights::of(&self.node()) != Heights::Unstated
+    }
+
+    /// What [`Crs::agrees_with`] finds different in another system, such as its datum; `None` where they agree.
+    pub fn difference(&self, other: &Self) -> Option<String> {
+        if self.agrees_with(other) {
+            return None;
+        }
+        let (one, two) = (self.node(), other.node());
+        let told = signature::differences(parts(&one).0, parts(&two).0);
+        if !told.is_empty() {
+            return Some(told.join(", "));
+        }
+        let (one, two) = (Heights::of(&one).name(), Heights::of(&two).name());
+        Some(if one == two { "their codes".to_owned() } else { format!("heights: {one}, {two}") })
     }
 
     /// The name its definition states, such as that of a UTM zone.
@@ -97,7 +117,7 @@ impl Crs {
     pub fn horizontal(&self) -> Self {
         match self.codes() {
             Some((code, _)) => Self(format!("EPSG:{code}")),
-            None => Self(parts(&self.node()).0.to_string()),
+            None => Self::of_node(&flat(parts(&self.node()).0)),
         }
     }
 
@@ -119,7 +139,7 @@ impl Crs {
             return true;
         }
         let (one, two) = (self.node(), other.node());
-        let ((plane, height), (other_plane, other_height)) = (parts(&one), parts(&two));
+        let (plane, other_plane) = (parts(&one).0, parts(&two).0);
         let alike = || signature::of(plane).is_some_and(|own| signature::of(other_plane) == Some(own));
         let same_plane = match (self.epsg(), other.epsg()) {
             // Two codes may be one system with its axes in another order; of a code that is not known here nobody can say.
@@ -128,11 +148,12 @@ impl Crs {
             }
             _ => alike(),
         };
-        let same_height = match (height, other_height) {
-            (Some(height), Some(other)) => match (height.epsg(), other.epsg()) {
+        let same_height = match (Heights::of(&one), Heights::of(&two)) {
+            (Heights::System(height), Heights::System(other)) => match (height.epsg(), other.epsg()) {
                 (Some(code), Some(other)) => code == other,
                 _ => height.name() == other.name(),
             },
+            (Heights::System(_), Heights::Ellipsoid) | (Heights::Ellipsoid, Heights::System(_)) => false,
             _ => true,
         };
         same_plane && same_height
@@ -187,7 +208,12 @@ fn codes(text: &str) -> Option<(u32, Option<u32>)> {
 /// The definition of a code: WKT without the shifts to WGS 84 that belong to no definition.
 fn definition(code: u32) -> Option<Node> {
     let text = crs_definitions::from_code(u16::try_from(code).ok()?)?.wkt;
-    let node = Node::parse(text).ok()?;
+    let node = match code {
+        // The table takes the chains of its false easting for metres.
+        3167 => Node::parse(&text.replace("\"false_easting\",1988.392164223695", "\"false_easting\",40000")),
+        _ => Node::parse(text),
+    };
+    let node = node.ok()?;
     let source = if node.keyword == "BOUNDCRS" { node.child(&["SOURCECRS"])?.nodes().next()?.clone() } else { node };
     Some(source.without(&["TOWGS84", "EXTENSION"]))
 }
@@ -200,6 +226,58 @@ fn parts(node: &Node) -> (&Node, Option<&Node>) {
     let mut systems = node.nodes().filter(|part| Kind::of(part).is_some());
     let first = systems.next().unwrap_or(node);
     (first, systems.next())
+}
+
+/// What a system says of heights.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Heights<'a> {
+    Unstated,
+    /// They are above the ellipsoid: the system has a third axis.
+    Ellipsoid,
+    System(&'a Node),
+}
+
+impl<'a> Heights<'a> {
+    fn of(node: &'a Node) -> Self {
+        match parts(node) {
+            (_, Some(vertical)) => Self::System(vertical),
+            (plane, None) if has_three_axes(plane) => Self::Ellipsoid,
+            _ => Self::Unstated,
+        }
+    }
+
+    fn name(self) -> String {
+        match self {
+            Self::Unstated => "not stated".to_owned(),
+            Self::Ellipsoid => "above the ellipsoid".to_owned(),
+            Self::System(vertical) => vertical.name().to_owned(),
+        }
+    }
+}
+
+/// Whether a system of map coordinates has heights above the ellipsoid as its third axis.
+fn has_three_axes(node: &Node) -> bool {
+    node.child(&["CS"]).is_some_and(|cs| cs.number(1).is_some_and(|axes| axes > 2.5))
+}
+
+/// The system without its third axis.
+fn flat(node: &Node) -> Node {
+    let mut flat = node.clone();
+    if has_three_axes(node) {
+        let mut axes = 0;
+        flat.arguments.retain(|argument| {
+            axes += usize::from(matches!(argument, Argument::Node(node) if node.keyword == "AXIS"));
+            axes < 3 || !matches!(argument, Argument::Node(node) if ["AXIS", "ID", "REMARK"].contains(&node.keyword.as_str()))
+        });
+        let cs = flat.arguments.iter_mut().find_map(|argument| match argument {
+            Argument::Node(node) if node.keyword == "CS" => node.arguments.get_mut(1),
+            _ => None,
+        });
+        if let Some(count) = cs {
+            *count = Argument::Word("2".to_owned());
+        }
+    }
+    flat
 }
 
 fn compound(horizontal: &Node, vertical: &Node) -> Node {

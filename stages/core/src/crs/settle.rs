@@ -3,7 +3,7 @@
 use serde_json::Value;
 
 use super::metric::in_metres;
-use super::{Crs, Kind, Stated, Unit, parts};
+use super::{Crs, Heights, Kind, Scale, Stated, Unit, heights_for_depths, parts};
 use crate::artefact::{Frame, Georeference};
 use crate::numerics::portable_math;
 use crate::params::{self, Fault, ParamType};
@@ -41,6 +41,11 @@ impl ParamType for CrsName {
         let stated = name.stated().map_err(|message| vec![Fault::new(message)])?;
         match stated.kind {
             Kind::Projected => Ok(name),
+            Kind::Depths => Err(vec![Fault::new(format!(
+                "{}: heights are needed; {}",
+                sort_of(&stated),
+                way_to_heights(&stated, Tool::Other, "the file")
+            ))]),
             kind if kind.needs_reprojection() => Err(vec![Fault::new(format!(
                 "{}: a system in metres is needed, with axes to the east and north, such as the UTM zone of the site; reproject the file first",
                 sort_of(&stated)
@@ -60,9 +65,11 @@ fn sort_of(stated: &Stated) -> String {
         Kind::Geocentric => format!("geocentric coordinates, X, Y and Z from the centre of the Earth ({name})"),
         Kind::WorldMap => {
             format!(
-                "coordinates of a map of the world ({name}), whose lengths are not those on the ground: 1.4 times as long at 45 degrees north"
+                "coordinates of a map of the world ({name}), whose lengths are not those on the ground: those of Mercator's are 1.4 times as \
+                 long at 45 degrees north"
             )
         }
+        Kind::Depths => format!("depths, which count downwards and would mirror the face ({name})"),
         Kind::WestSouth => format!("distances to the west or south ({name})"),
         _ => name.clone(),
     }
@@ -128,7 +135,8 @@ pub fn wall_without_system(is_wall: bool) -> Option<Fault> {
 /// `first` is a point of the file, by which the UTM zone of a way out is found.
 ///
 /// # Errors
-/// Degrees, geocentric coordinates and those of a Mercator map of the world; two statements that contradict each other.
+/// Degrees, geocentric coordinates, depths, and a map whose lengths at the first point are far from those on the ground; two statements that
+/// contradict each other.
 pub fn settle(
     path: &str,
     [file, beside]: [Option<Stated>; 2],
@@ -184,6 +192,8 @@ pub fn settle(
     let (_, stated) = stated.swap_remove(place);
     if let Some(warning) = first.and_then(|first| far_off(path, &stated, first)) {
         context.warn(warning);
+    } else if let Some(scale) = first.and_then(|first| scale_at(&stated, first)) {
+        check_scale(path, &stated, scale, tool, context)?;
     }
     Ok(converted(path, &stated, context))
 }
@@ -227,6 +237,50 @@ fn far_off(path: &str, stated: &Stated, [x, y, _]: [f64; 3]) -> Option<String> {
     })
 }
 
+/// A map whose lengths are off by more than this is no map of the site.
+const MOST_ERROR: f64 = 0.1;
+/// From this error on a step warns of it: volumes are off by twice as much, since heights are not scaled.
+const NOTABLE_ERROR: f64 = 0.002;
+
+fn scale_at(stated: &Stated, [x, y, _]: [f64; 3]) -> Option<Scale> {
+    let node = stated.node.as_ref().filter(|_| stated.kind == Kind::Projected)?;
+    let metres = stated.unit.as_ref().map_or(1.0, |unit| unit.metres);
+    Scale::at(parts(node).0, [x * metres, y * metres])
+}
+
+/// Says what the map does to lengths and directions at the site.
+///
+/// # Errors
+/// Lengths that are more than a tenth off.
+fn check_scale(path: &str, stated: &Stated, scale: Scale, tool: Tool, context: &Context) -> Result<(), StageError> {
+    let name = &stated.name;
+    let error = scale.error();
+    if error > MOST_ERROR {
+        let [longitude, latitude] = scale.place_deg;
+        let to = utm_zone(Kind::Geographic, [longitude, latitude, 0.0]);
+        let to = to.map_or_else(|| "EPSG:326NN".to_owned(), |code| format!("EPSG:{code}"));
+        let text = format!(
+            "`{path}` is in {name}, a map whose lengths at the first point are {scale} times those on the ground; what is needed are metres on \
+             the ground to the east and north"
+        );
+        let way = reprojected(path, &to, tool);
+        return Err(StageError::new(text).hint(format!("bring it to the UTM zone of its first point: {way}")));
+    }
+    if error > NOTABLE_ERROR {
+        context.warn(format!(
+            "lengths in {name} are {scale} times those on the ellipsoid at the first point of `{path}`: volumes, sizes and distances are those \
+             on the map; a map of the site, such as its UTM zone, has lengths that are right to 0.1 %"
+        ));
+    }
+    let side = if scale.convergence_deg < 0.0 { "west" } else { "east" };
+    context.note(format!(
+        "lengths in {name} are {scale} times those on the ellipsoid at the first point of `{path}`, and grid north is {:.3} degrees to the {side} \
+         of true north",
+        scale.convergence_deg.abs()
+    ));
+    Ok(())
+}
+
 /// Where the system of heights of the first statement is not known: a statement with heights in the same unit.
 fn with_heights(stated: &[(String, Stated)]) -> Option<usize> {
     let (_, first) = stated.first().filter(|(_, first)| first.unknown_heights.is_some())?;
@@ -234,17 +288,40 @@ fn with_heights(stated: &[(String, Stated)]) -> Option<usize> {
     stated.iter().position(|(_, other)| has_heights(other) && other.vertical_unit == first.vertical_unit)
 }
 
-fn refusal(path: &str, who: &str, stated: &Stated, tool: Tool, first: Option<[f64; 3]>) -> StageError {
-    let zone = first.and_then(|first| utm_zone(stated.kind, first));
-    let to = zone.map_or_else(|| "EPSG:326NN".to_owned(), |code| format!("EPSG:{code}"));
-    let of_place = if zone.is_some() { "the UTM zone of its first point" } else { "its UTM zone (NN)" };
+/// The way from depths to heights.
+fn way_to_heights(stated: &Stated, tool: Tool, path: &str) -> String {
+    let node = stated.node.as_ref().map(parts);
+    let plane = node.and_then(|(plane, _)| plane.epsg());
+    let heights = node.and_then(|(_, vertical)| heights_for_depths(vertical?.epsg()?));
+    match (plane, heights) {
+        (Some(plane), Some(heights)) => {
+            let to = format!("EPSG:{plane}+{heights}");
+            format!("bring it to the heights above the same datum, {to}: {}", reprojected(path, &to, tool))
+        }
+        _ => "multiply Z by -1 (CloudCompare: Edit, Multiply/Scale) and state a system of heights".to_owned(),
+    }
+}
+
+/// What brings a file into a system.
+fn reprojected(path: &str, to: &str, tool: Tool) -> String {
     let name = path.rsplit('/').next().unwrap_or(path);
-    let command = match tool {
+    match tool {
         Tool::Gdal => format!("`gdalwarp -t_srs {to} {name} out.tif`"),
         Tool::Pdal => format!("`pdal translate {name} out.laz reprojection --filters.reprojection.out_srs={to}`"),
         Tool::Ogr => format!("`ogr2ogr -t_srs {to} out.geojson {name}`"),
         Tool::Other => format!("QGIS and CloudCompare reproject to {to}"),
-    };
+    }
+}
+
+fn refusal(path: &str, who: &str, stated: &Stated, tool: Tool, first: Option<[f64; 3]>) -> StageError {
+    if stated.kind == Kind::Depths {
+        let text = format!("`{path}` has {}, as {who} states; heights are needed", sort_of(stated));
+        return StageError::new(text).hint(way_to_heights(stated, tool, path));
+    }
+    let zone = first.and_then(|first| utm_zone(stated.kind, first));
+    let to = zone.map_or_else(|| "EPSG:326NN".to_owned(), |code| format!("EPSG:{code}"));
+    let of_place = if zone.is_some() { "the UTM zone of its first point" } else { "its UTM zone (NN)" };
+    let command = reprojected(path, &to, tool);
     let text = format!(
         "`{path}` has {}, as {who} states; what is needed are metres on the ground to the east and north",
         sort_of(stated)
@@ -309,6 +386,20 @@ fn converted(path: &str, stated: &Stated, context: &Context) -> Settled {
         });
         context.warn(format!(
             "`{path}` states its heights in {heights}, which is not known here: outputs do not state it{way}"
+        ));
+    }
+    if stated.node.as_ref().is_some_and(|node| Heights::of(node) == Heights::Ellipsoid) {
+        context.warn(format!(
+            "the heights of `{path}` are above the ellipsoid, as {} states: they are up to 100 m from heights above the sea, and do not go together \
+             with such",
+            stated.name
+        ));
+    }
+    if let (Some(shift), true) = (&stated.shift, crs.as_ref().is_none_or(|crs| crs.epsg().is_none())) {
+        context.warn(format!(
+            "{} has a shift of its datum to WGS 84 ({shift}), as `{path}` states, which outputs do not state: on other maps they may be hundreds \
+             of metres off; give the EPSG code of the system with `crs: EPSG:...`",
+            stated.name
         ));
     }
     if crs.is_none() && stated.kind == Kind::Projected {

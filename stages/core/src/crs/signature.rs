@@ -80,19 +80,54 @@ pub fn of(node: &Node) -> Option<String> {
     ))
 }
 
+/// What is different in two systems of map coordinates, one text each: their projections, parameters, units, ellipsoids, datums.
+pub fn differences(one: &Node, other: &Node) -> Vec<String> {
+    let base = |node: &Node| node.child(&["GEOGCS", "BASEGEOGCRS", "BASEGEODCRS"]).cloned();
+    let datum = |node: &Node| Some(base(node)?.child(&["DATUM", "ENSEMBLE", "GEODETICDATUM", "TRF"])?.clone());
+    let ellipsoid = |node: &Node| datum(node)?.child(&["SPHEROID", "ELLIPSOID"]).map(|node| node.name().to_owned());
+    let meridian = |node: &Node| Some(base(node)?.child(&["PRIMEM"])?.name().to_owned());
+    let unit = |node: &Node| super::stated::linear_unit(node).map(|unit| unit.name);
+    let told = |what: &str, [one, other]: [Option<String>; 2]| {
+        let name = |name: Option<String>| name.unwrap_or_else(|| "not stated".to_owned());
+        (one != other).then(|| format!("{what}: {}, {}", name(one), name(other)))
+    };
+    let mut all = Vec::new();
+    all.extend(told("projection", [one, other].map(projection)));
+    let [mut own, mut others] = [one, other].map(parameters);
+    let [mut first, mut second] = [one, other].map(|node| projection(node).unwrap_or_default());
+    one_dialect(&mut first, &mut own);
+    one_dialect(&mut second, &mut others);
+    let names: std::collections::BTreeSet<&String> = own.keys().chain(others.keys()).collect();
+    for name in names {
+        let [one, other] = [&own, &others].map(|all| all.get(name).and_then(|value| written(name, *value)));
+        if one != other {
+            all.extend(told(name, [&own, &others].map(|all| all.get(name).map(ToString::to_string))));
+        }
+    }
+    all.extend(told("unit", [one, other].map(unit)));
+    let datums = [one, other].map(|node| datum(node).map(|datum| datum.name().to_owned()));
+    if datums.iter().flatten().map(|name| datums::known(name)).collect::<std::collections::BTreeSet<_>>().len() > 1 {
+        all.extend(told("datum", datums));
+        all.extend(told("ellipsoid", [one, other].map(ellipsoid)));
+    }
+    all.extend(told("prime meridian", [one, other].map(meridian)));
+    all
+}
+
 /// The projection of a system of map coordinates.
 pub fn method(node: &Node) -> Option<&Node> {
     let conversion = node.child(&["CONVERSION"]);
     conversion.and_then(|c| c.child(&["METHOD"])).or_else(|| node.child(&["PROJECTION"]))
 }
 
-/// Whether an axis counts to the west: with southings the other one does, and both are then the negative of what maps count. ESRI says it by the
+/// Whether an axis counts to the west or south, so that the map is mirrored or turned. On polar maps all axes may point south. ESRI says it by the
 /// projection, and for that of Krovak by the sign of a scale.
 pub fn points_west(node: &Node) -> bool {
-    let is_west =
-        |axis: &Node| matches!(axis.arguments.get(1), Some(Argument::Word(way)) if way.eq_ignore_ascii_case("west"));
+    let points = |axis: &Node, to: &str| matches!(axis.arguments.get(1), Some(Argument::Word(way)) if way.eq_ignore_ascii_case(to));
+    let any = |to: &str| node.nodes().any(|child| child.keyword == "AXIS" && points(child, to));
     let projection = projection(node).unwrap_or_default();
-    node.nodes().any(|child| child.keyword == "AXIS" && is_west(child))
+    any("west")
+        || any("south") && any("east")
         || projection.contains("southorientated")
         || projection == "krovak" && parameters(node).get("xscale").is_some_and(|scale| *scale > 0.0)
 }
@@ -115,14 +150,19 @@ const LENGTHS: [&str; 2] = ["falseeasting", "falsenorthing"];
 /// of their own.
 fn parameters(node: &Node) -> BTreeMap<String, f64> {
     let of_system = super::stated::linear_unit(node).map_or(1.0, |unit| unit.metres);
-    let one = |child: &Node| {
-        let (name, value) = (known(PARAMETERS, &plain(child.name())).to_owned(), child.number(1)?);
+    let one = |(name, child): (String, &Node)| {
+        let value = child.number(1)?;
         let own = child.child(&["LENGTHUNIT", "UNIT"]).and_then(Unit::of).map(|unit| unit.metres);
         let metres = if LENGTHS.contains(&name.as_str()) { own.unwrap_or(of_system) } else { 1.0 };
         Some((name, value * metres))
     };
+    parameter_nodes(node).filter_map(one).collect()
+}
+
+/// The parameters of a projection as they stand, with the names all dialects are compared by.
+pub fn parameter_nodes(node: &Node) -> impl Iterator<Item = (String, &Node)> {
     let all = node.child(&["CONVERSION"]).unwrap_or(node).nodes().filter(|child| child.keyword == "PARAMETER");
-    all.filter_map(one).collect()
+    all.map(|child| (known(PARAMETERS, &plain(child.name())).to_owned(), child))
 }
 
 /// A parameter that is not at the value it has when it is left out.

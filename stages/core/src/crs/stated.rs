@@ -3,17 +3,22 @@
 use super::signature;
 use super::unit::Unit;
 use super::wkt::Node;
-use super::{compound, definition, known_codes, parts, vertical_definition};
+use super::{
+    Heights, compound, definition, has_three_axes, heights_for_depths, is_depths, known_codes, parts, points_down,
+    vertical_definition,
+};
 
 /// The sorts of systems.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
     /// Easting and northing on a map.
     Projected,
-    /// Easting and northing on a Mercator map of the whole world, whose lengths are those on the ground at the equator only.
+    /// Easting and northing on a map of the whole world, whose lengths are those on the ground in few places only.
     WorldMap,
     /// Distances on a map that are counted to the west or south.
     WestSouth,
+    /// Distances on a map with depths, which count downwards.
+    Depths,
     /// Longitude and latitude in degrees.
     Geographic,
     /// X, Y and Z from the centre of the Earth.
@@ -44,21 +49,46 @@ impl Kind {
 
     /// Whether coordinates of this sort must be reprojected before lengths and directions mean anything.
     pub fn needs_reprojection(self) -> bool {
-        matches!(self, Self::Geographic | Self::Geocentric | Self::WorldMap | Self::WestSouth)
+        matches!(self, Self::Geographic | Self::Geocentric | Self::WorldMap | Self::WestSouth | Self::Depths)
     }
 }
 
-/// By what EPSG, Esri and others call it.
+/// Projections that are made for maps of the whole world, or of half of it.
+const OF_THE_WORLD: [&str; 22] = [
+    "aitoff",
+    "compactmiller",
+    "craster",
+    "eckert",
+    "equalearth",
+    "flatpolarquartic",
+    "gall",
+    "goode",
+    "hammer",
+    "loximuthal",
+    "millercylindrical",
+    "mollweide",
+    "naturalearth",
+    "patterson",
+    "putnins",
+    "quarticauthalic",
+    "robinson",
+    "sinusoidal",
+    "times",
+    "vandergrinten",
+    "wagner",
+    "winkel",
+];
+
+/// By what EPSG, Esri and others call it. Other maps are told by their scale at the site.
 fn is_world_map(node: &Node) -> bool {
     const NAMES: [&str; 5] =
         ["pseudomercator", "webmercator", "worldmercator", "popularvisualisation", "mercatorauxiliarysphere"];
     let method = signature::method(node).map_or("", Node::name);
-    [node.name(), method].map(signature::plain).iter().any(|name| NAMES.iter().any(|known| name.contains(known)))
-}
-
-/// Whether a system of map coordinates has heights above the ellipsoid.
-fn has_three_axes(node: &Node) -> bool {
-    node.child(&["CS"]).is_some_and(|cs| cs.number(1).is_some_and(|axes| axes > 2.5))
+    let [name, method] = [node.name(), method].map(signature::plain);
+    NAMES.iter().any(|known| name.contains(known) || method.contains(known))
+        || OF_THE_WORLD
+            .iter()
+            .any(|known| method.starts_with(known) || method == format!("interrupted{known}homolosine"))
 }
 
 fn is_cartesian(node: &Node) -> bool {
@@ -80,6 +110,8 @@ pub struct Stated {
     pub node: Option<Node>,
     /// The system of heights that is stated but not known, and therefore left out.
     pub unknown_heights: Option<String>,
+    /// The shift of the datum to WGS 84 that is stated (`TOWGS84`, `BOUNDCRS`), which no definition has.
+    pub shift: Option<String>,
 }
 
 impl Stated {
@@ -89,11 +121,13 @@ impl Stated {
     /// What is wrong with the text; a system of heights alone, or of a sort that is not known.
     pub fn from_wkt(text: &str) -> Result<Self, String> {
         let node = Node::parse(text)?;
+        let shift = shift(&node);
         let node = match node.keyword.as_str() {
             "BOUNDCRS" => node.child(&["SOURCECRS"]).and_then(|source| source.nodes().next()).cloned(),
             _ => Some(node),
         };
-        node.map_or_else(|| Err("a BOUNDCRS without its source".to_owned()), Self::from_node)
+        let stated = node.map_or_else(|| Err("a BOUNDCRS without its source".to_owned()), Self::from_node)?;
+        Ok(Self { shift, ..stated })
     }
 
     /// The system of a definition.
@@ -104,6 +138,7 @@ impl Stated {
         let (horizontal, vertical) = parts(&node);
         let kind = match Kind::of(horizontal) {
             Some(Kind::Vertical) => return Err(format!("`{}` is a system of heights alone", node.name())),
+            Some(Kind::Projected) if vertical.is_some_and(points_down) => Kind::Depths,
             Some(kind) => kind,
             None => return Err(format!("`{}` is no coordinate reference system that is known here", node.keyword)),
         };
@@ -112,8 +147,12 @@ impl Stated {
             _ => node.name().to_owned(),
         };
         let unit = if kind == Kind::Geographic { None } else { linear_unit(horizontal) };
-        let vertical_unit = vertical.and_then(linear_unit);
-        Ok(Self { name, kind, unit, vertical_unit, node: Some(node), unknown_heights: None })
+        let vertical_unit = match vertical {
+            Some(vertical) => linear_unit(vertical),
+            None if has_three_axes(horizontal) => unit_of_heights(horizontal),
+            None => None,
+        };
+        Ok(Self { name, kind, unit, vertical_unit, node: Some(node), unknown_heights: None, shift: None })
     }
 
     /// The system of an EPSG code, and of one for heights.
@@ -158,7 +197,7 @@ impl Stated {
     /// A system of the site: units alone.
     pub fn local(name: &str, unit: Option<Unit>) -> Self {
         let name = name.to_owned();
-        Self { name, kind: Kind::Local, unit, vertical_unit: None, node: None, unknown_heights: None }
+        Self { name, kind: Kind::Local, unit, vertical_unit: None, node: None, unknown_heights: None, shift: None }
     }
 
     /// Whether coordinates of the two mean the same places, on the map and in height. Heights that one of them does not state are no difference.
@@ -168,27 +207,33 @@ impl Stated {
 
     fn are_heights_alike(&self, other: &Self) -> bool {
         let (Some(one), Some(two)) = (&self.node, &other.node) else { return true };
-        let ((plane, height), (other_plane, other_height)) = (parts(one), parts(two));
-        match (height, other_height) {
-            (Some(height), Some(other_height)) => {
+        match (Heights::of(one), Heights::of(two)) {
+            (Heights::System(height), Heights::System(other_height)) => {
                 let codes = height.epsg().zip(other_height.epsg());
                 let units = self.vertical_unit.as_ref().zip(other.vertical_unit.as_ref());
                 codes.is_none_or(|(a, b)| a == b) && units.is_none_or(|(a, b)| a == b)
             }
-            // Heights above the ellipsoid are part of a system of three axes.
-            (Some(_), None) => !has_three_axes(other_plane),
-            (None, Some(_)) => !has_three_axes(plane),
-            (None, None) => true,
+            (Heights::System(_), Heights::Ellipsoid) | (Heights::Ellipsoid, Heights::System(_)) => false,
+            _ => true,
         }
+    }
+
+    /// Whether it says what heights are above: a vertical datum, or the ellipsoid.
+    pub fn states_heights(&self) -> bool {
+        self.node.as_ref().is_some_and(|node| Heights::of(node) != Heights::Unstated)
     }
 
     fn is_same_plane(&self, other: &Self) -> bool {
         let code = |stated: &Self| stated.node.as_ref().and_then(|node| parts(node).0.epsg());
         let signature = |stated: &Self| stated.node.as_ref().and_then(|node| super::signature::of(parts(node).0));
-        match (code(self), code(other)) {
-            (Some(code), Some(other)) => code == other,
-            _ => self.kind == other.kind && signature(self).is_some() && signature(self) == signature(other),
+        if let (Some(code), Some(other)) = (code(self), code(other)) {
+            return code == other;
         }
+        let shifts = self.shift.as_ref().zip(other.shift.as_ref());
+        self.kind == other.kind
+            && signature(self).is_some()
+            && signature(self) == signature(other)
+            && shifts.is_none_or(|(one, two)| one == two)
     }
 }
 
@@ -204,8 +249,40 @@ fn text_of(bytes: &[u8]) -> String {
 
 /// What is wrong with a code that is none of a known system of heights.
 fn unknown_heights(code: u32) -> String {
+    if is_depths(code) {
+        let way = heights_for_depths(code)
+            .map_or_else(String::new, |heights| format!(": bring the file to the heights EPSG:{heights}"));
+        return format!("EPSG:{code} is a system of depths, which count downwards; heights are needed{way}");
+    }
     let known: Vec<String> = known_codes().iter().map(ToString::to_string).collect();
     format!("EPSG:{code} is not among the systems of heights that rockface knows: {}", known.join(", "))
+}
+
+/// The shift to WGS 84 that a text states of its datum, if it is one of more than nothing.
+fn shift(node: &Node) -> Option<String> {
+    if node.keyword == "BOUNDCRS" {
+        let transformation = node.child(&["ABRIDGEDTRANSFORMATION"])?;
+        let values: Vec<String> = transformation
+            .nodes()
+            .filter(|child| child.keyword == "PARAMETER")
+            .filter_map(|child| child.number(1))
+            .map(|value| value.to_string())
+            .collect();
+        return (!values.is_empty()).then(|| values.join(", "));
+    }
+    if node.keyword == "TOWGS84" {
+        let values: Vec<f64> = (0..node.arguments.len()).filter_map(|place| node.number(place)).collect();
+        let texts: Vec<String> = values.iter().map(ToString::to_string).collect();
+        return values.iter().any(|value| value.abs() > 0.0).then(|| texts.join(", "));
+    }
+    node.nodes().find_map(shift)
+}
+
+/// The unit of the third axis of a system.
+fn unit_of_heights(node: &Node) -> Option<Unit> {
+    let axis = node.nodes().filter(|child| child.keyword == "AXIS").nth(2);
+    let own = axis.and_then(|axis| axis.child(&["LENGTHUNIT", "UNIT"])).and_then(Unit::of);
+    own.or_else(|| linear_unit(node))
 }
 
 /// The unit of lengths of a system: that of its `UNIT`, `LENGTHUNIT`, or of its axes.

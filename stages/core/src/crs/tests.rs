@@ -105,6 +105,27 @@ fn maps_of_the_world_are_refused_for_their_lengths() {
         assert!(error.message.contains("whose lengths are not those on the ground"), "{error}");
         assert!(error.hint.unwrap().contains("EPSG:32633"));
     }
+    // Others are told by the scale at the site, here at 10 degrees east and 60 degrees north.
+    let at_60 = [
+        (4087, [1_113_194.9, 6_679_169.4]),
+        (32662, [1_113_194.9, 6_679_169.4]),
+        (3832, [-15_584_728.7, 8_362_698.5]),
+        (6933, [964_862.8, 6_347_032.7]),
+        (3410, [962_865.6, 6_366_654.4]),
+        (3994, [-7_586_066.0, 6_340_394.0]),
+        (3388, [-3_400_000.0, 6_206_000.0]),
+    ];
+    for (code, [x, y]) in at_60 {
+        let stated = Stated::from_epsg(code, None).unwrap();
+        let error = settled(Some(stated), None, Some([x, y, 300.0])).0.unwrap_err();
+        assert!(error.message.contains("a map whose lengths at the first point are"), "EPSG:{code}: {error}");
+    }
+    for method in ["Mollweide", "Robinson", "Sinusoidal", "Eckert_IV", "Interrupted_Goode_Homolosine", "Winkel_I"] {
+        let text = esri("D_WGS_1984", [6_378_137.0, 298.257_223_563], method, &[("Central_Meridian", 0.0)]);
+        assert_eq!(Stated::of_prj(text.as_bytes()).kind, Kind::WorldMap, "{method}");
+    }
+    let behrmann = esri("D_WGS_1984", [6_378_137.0, 298.257_223_563], "Behrmann", &[("Central_Meridian", 0.0)]);
+    assert!(settled(Some(Stated::of_prj(behrmann.as_bytes())), None, Some([964_862.8, 6_347_032.7, 0.0])).0.is_err());
     let esri = "PROJCS[\"WGS_1984_Web_Mercator_Auxiliary_Sphere\",GEOGCS[\"GCS_WGS_1984\",DATUM[\"D_WGS_1984\",\
                 SPHEROID[\"WGS_1984\",6378137.0,298.257223563]],PRIMEM[\"Greenwich\",0.0],UNIT[\"Degree\",0.0174532925199433]],\
                 PROJECTION[\"Mercator_Auxiliary_Sphere\"],UNIT[\"Meter\",1.0]]";
@@ -145,7 +166,9 @@ fn keys_state_systems_and_are_written_for_them() {
     let feet = stated(&[1, 1, 0, 3, 1024, 0, 1, 1, 3072, 0, 1, 32633, 3076, 0, 1, 9002]).unwrap();
     assert_eq!(feet.unit, Unit::by_code(9002));
     let custom = crs(&ESRI.replace("15.0", "15.5"));
-    for system in [crs("EPSG:28356"), crs("EPSG:7415"), crs("EPSG:25832+7837"), custom] {
+    let gauge = "VERT_CS[\"our gauge\",VERT_DATUM[\"our gauge\",2005],UNIT[\"metre\",1],AXIS[\"Up\",UP]]";
+    let gauge = crs(&format!("COMPD_CS[\"both\",{},{gauge}]", crs("EPSG:25832").wkt()));
+    for system in [crs("EPSG:28356"), crs("EPSG:7415"), crs("EPSG:25832+7837"), custom, gauge] {
         let (keys, ascii) = written(&system, 0);
         let mut directory = vec![1, 1, 0, keys.len() as u16 + 1, 1024, 0, 1, super::geo_keys::model(&system)];
         directory.extend(keys.as_flattened());
@@ -351,6 +374,114 @@ fn axes_to_the_west_or_south_are_refused() {
 }
 
 #[test]
+fn an_axis_to_the_south_alone_is_refused_too() {
+    let utm = |axes: &str| ESRI.replace("UNIT[\"Meter\",1.0]]", &format!("UNIT[\"Meter\",1.0],{axes}]"));
+    let kind = |axes: &str| Stated::of_prj(utm(axes).as_bytes()).kind;
+    assert_eq!(kind("AXIS[\"E\",EAST],AXIS[\"S\",SOUTH]"), Kind::WestSouth);
+    assert_eq!(kind("AXIS[\"S\",SOUTH],AXIS[\"E\",EAST]"), Kind::WestSouth);
+    assert_eq!(kind("AXIS[\"X\",SOUTH],AXIS[\"Y\",SOUTH]"), Kind::Projected);
+    assert_eq!(kind("AXIS[\"N\",NORTH],AXIS[\"E\",EAST]"), Kind::Projected);
+}
+
+#[test]
+fn depths_are_refused_with_the_way_to_heights() {
+    let refused = |stated: Stated| settled(Some(stated), None, None).0.unwrap_err();
+    let heights = "VERT_CS[\"NAVD88 depth\",VERT_DATUM[\"North American Vertical Datum 1988\",2005],UNIT[\"metre\",1],\
+                   AXIS[\"Depth\",DOWN],AUTHORITY[\"EPSG\",\"6357\"]]";
+    let text = format!("COMPD_CS[\"both\",{},{heights}]", crs("EPSG:26945").wkt());
+    let error = refused(Stated::from_wkt(&text).unwrap());
+    assert!(error.message.contains("depths, which count downwards"), "{error}");
+    assert!(error.hint.unwrap().contains("out_srs=EPSG:26945+5703"));
+    let esri = format!("{ESRI},VERTCS[\"depth\",VDATUM[\"x\"],PARAMETER[\"Direction\",-1.0],UNIT[\"Meter\",1.0]]");
+    assert!(refused(Stated::of_prj(esri.as_bytes())).hint.unwrap().contains("multiply Z by -1"));
+    let wkt2 = text.replace("DOWN", "down").replace(",AUTHORITY[\"EPSG\",\"6357\"]", "");
+    assert_eq!(Stated::from_wkt(&wkt2).unwrap().kind, Kind::Depths);
+    let keys = [1, 1, 0, 4, 1024, 0, 1, 1, 3072, 0, 1, 26945, 4096, 0, 1, 6357, 4099, 0, 1, 9001];
+    let keys = GeoKeys { directory: &keys, doubles: &[], ascii: "" };
+    assert!(refused(keys.stated().unwrap()).message.contains("EPSG:6357"));
+    let given = settled(None, Some("EPSG:26945+6357"), None).0.unwrap_err();
+    assert!(given.message.contains("a system of depths") && given.message.contains("EPSG:5703"), "{given}");
+}
+
+/// UTM zone 33 with heights above the ellipsoid, as PROJ writes it.
+fn ellipsoidal() -> Stated {
+    let text = r#"PROJCRS["WGS 84 / UTM zone 33N",BASEGEOGCRS["WGS 84",DATUM["World Geodetic System 1984",ELLIPSOID["WGS 84",6378137,298.257223563,LENGTHUNIT["metre",1]]],PRIMEM["Greenwich",0,ANGLEUNIT["degree",0.0174532925199433]]],CONVERSION["UTM zone 33N",METHOD["Transverse Mercator",ID["EPSG",9807]],PARAMETER["Latitude of natural origin",0],PARAMETER["Longitude of natural origin",15],PARAMETER["Scale factor at natural origin",0.9996],PARAMETER["False easting",500000,LENGTHUNIT["metre",1]],PARAMETER["False northing",0,LENGTHUNIT["metre",1]]],CS[Cartesian,3],AXIS["(E)",east,ORDER[1],LENGTHUNIT["metre",1]],AXIS["(N)",north,ORDER[2],LENGTHUNIT["metre",1]],AXIS["ellipsoidal height (h)",up,ORDER[3],LENGTHUNIT["metre",1]],REMARK["Promoted to 3D from EPSG:32633"]]"#;
+    Stated::from_wkt(text).unwrap()
+}
+
+#[test]
+fn heights_above_the_ellipsoid_are_kept_and_go_with_no_others() {
+    let (result, warnings, _) = settled(Some(ellipsoidal()), None, None);
+    let kept = result.unwrap().crs.unwrap();
+    assert!(warnings.len() == 1 && warnings[0].contains("above the ellipsoid"), "{warnings:?}");
+    assert!(kept.has_heights() && kept.as_str().parse::<Crs>().unwrap() == kept && kept.epsg().is_none(), "{kept:?}");
+    assert_eq!(kept.horizontal(), crs("EPSG:32633"));
+    // GDAL reads the map alone, as it does of a code.
+    assert_eq!(written(&kept, 0), written(&crs("EPSG:32633"), 0));
+    assert!(kept.agrees_with(&crs("EPSG:32633")) && !kept.agrees_with(&crs("EPSG:32633+5773")));
+    assert_eq!(kept.difference(&crs("EPSG:32633+5773")).unwrap(), "heights: above the ellipsoid, EGM96 height");
+    assert!(settled(Some(ellipsoidal()), Some("EPSG:32633+5773"), None).0.is_err());
+    let feet = ellipsoidal().node.unwrap().to_string();
+    let feet = feet.replace("ORDER[3],LENGTHUNIT[\"metre\",1]", "ORDER[3],LENGTHUNIT[\"foot\",0.3048]");
+    let settled = settled(Some(Stated::from_wkt(&feet).unwrap()), None, None).0.unwrap();
+    assert!((settled.horizontal - 1.0).abs() < 1e-12 && (settled.vertical - 0.3048).abs() < 1e-12);
+    assert!(settled.crs.unwrap().agrees_with(&kept));
+}
+
+#[test]
+fn a_shift_of_a_datum_without_code_is_warned_of() {
+    let shifted = |shift: &str| {
+        let text = utm("D_Of_The_Mine", INTERNATIONAL, -51.0, 1e7);
+        Stated::of_prj(text.replace(",297.0]]", &format!(",297.0],TOWGS84[{shift}]]")).as_bytes())
+    };
+    let (_, warnings, _) = settled(Some(shifted("598.1,73.7,418.2,0,0,0,0")), None, None);
+    assert!(warnings.len() == 1 && warnings[0].contains("(598.1, 73.7, 418.2, 0, 0, 0, 0)"), "{warnings:?}");
+    assert_eq!(settled(Some(shifted("0,0,0,0,0,0,0")), None, None).1, Vec::<String>::new());
+    assert!(!shifted("1,2,3,0,0,0,0").agrees_with(&shifted("4,5,6,0,0,0,0")));
+    let bound = format!(
+        "BOUNDCRS[SOURCECRS[{}],TARGETCRS[GEOGCRS[\"WGS 84\"]],ABRIDGEDTRANSFORMATION[\"t\",METHOD[\"m\"],PARAMETER[\"X-axis translation\",598.1]]]",
+        utm("D_Of_The_Mine", INTERNATIONAL, -51.0, 1e7)
+    );
+    assert_eq!(Stated::of_prj(bound.as_bytes()).shift.as_deref(), Some("598.1"));
+    // Of a datum with a code the shift is no part.
+    let known = utm("D_Corrego_Alegre", INTERNATIONAL, -51.0, 1e7).replace(",297.0]]", ",297.0],TOWGS84[1,2,3]]");
+    assert_eq!(settled(Some(Stated::of_prj(known.as_bytes())), None, None).1, Vec::<String>::new());
+}
+
+#[test]
+fn heights_in_feet_become_the_metric_system_of_their_datum() {
+    let text = |feet: &str, code: &str| {
+        format!(
+            "COMPD_CS[\"both\",{},VERT_CS[\"of the file\",VERT_DATUM[\"North American Vertical Datum 1988\",2005],{feet},AXIS[\"Up\",UP]{code}]]",
+            definition(2229).unwrap()
+        )
+    };
+    for code in [",AUTHORITY[\"EPSG\",\"6360\"]", ""] {
+        let stated = Stated::from_wkt(&text("UNIT[\"US survey foot\",0.3048006096012192]", code)).unwrap();
+        assert_eq!(settled(Some(stated), None, None).0.unwrap().crs, Some(crs("EPSG:26945+5703")));
+    }
+}
+
+#[test]
+fn a_difference_is_named() {
+    let [mine, other] = ["D_Of_The_Mine", "D_Bogota"].map(|datum| crs(&utm(datum, INTERNATIONAL, -51.0, 1e7)));
+    assert_eq!(mine.difference(&other).unwrap(), "datum: D_Of_The_Mine, D_Bogota");
+    assert_eq!(mine.difference(&mine), None);
+    let zone = crs(&utm("D_Of_The_Mine", INTERNATIONAL, -51.5, 1e7));
+    assert_eq!(mine.difference(&zone).unwrap(), "centralmeridian: -51, -51.5");
+    assert_eq!(
+        crs("EPSG:25832+7837").difference(&crs("EPSG:25832+5773")).unwrap(),
+        "heights: DHHN2016 height, EGM96 height"
+    );
+}
+
+#[test]
+fn chains_of_a_false_easting_are_chains() {
+    let [easting_m, _] = signature::false_origin(&definition(3167).unwrap());
+    assert!((easting_m - 804_670.24).abs() < 1e-3, "{easting_m}");
+}
+
+#[test]
 fn statements_of_heights_must_agree() {
     let stated = |height| Stated::from_epsg(25832, height).unwrap();
     let error = settled(Some(stated(Some(7837))), Some("EPSG:25832+5773"), None).0.unwrap_err();
@@ -367,7 +498,8 @@ fn numbers_that_cannot_be_of_a_system_are_warned_of() {
     assert_eq!(warned(31468, 4_468_000.0, 5_334_000.0), Vec::<String>::new());
     assert_eq!(warned(2154, 1_000_000.0, 6_300_000.0), Vec::<String>::new());
     assert_eq!(warned(5514, -740_000.0, -1_040_000.0), Vec::<String>::new());
-    assert_eq!(warned(3031, -2_600_000.0, 1_900_000.0), Vec::<String>::new());
+    let polar = warned(3031, -2_600_000.0, 1_900_000.0);
+    assert!(polar.len() == 1 && polar[0].contains("times those on the ellipsoid"), "{polar:?}");
     assert!(warned(25832, 5_334_000.0, 691_000.0)[0].contains("swapped"));
     assert!(warned(2056, 691_000.0, 5_334_000.0)[0].contains("EPSG:2056"));
     assert!(warned(25832, 11.5, 48.1)[0].contains("degrees"));

@@ -6,6 +6,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use las::{Header, PointData, PointDataBuilder, Reader};
 use laz::{DecompressionSelection, LasZipDecompressor};
 
+use super::las_normals::Normals;
 use super::laz_check::{check_chunks, check_header, damaged, points_at};
 use crate::artefact::{CodecError, Frame};
 use crate::crs::Stated;
@@ -42,6 +43,7 @@ const BATCH_BYTES: u64 = 1 << 23;
 
 /// Reads all points: `scale x integer + offset` in double precision, so nothing of the file is lost.
 ///
+/// Normals are those of extra dimensions that are called so; points whose normal is no number are left out of their sum.
 /// Colours of 16 bits keep their upper byte; some programs write 8 bits into them, which is seen by no value exceeding 255.
 ///
 /// # Errors
@@ -117,6 +119,7 @@ fn unpacked(
     header: &Header,
 ) -> Result<impl FnMut(u64, &mut PointData) -> Result<u64, String>, CodecError> {
     let fields = DecompressionSelection::base().decompress_z().decompress_rgb();
+    let fields = if Normals::of(header).is_some() { fields.decompress_extra_bytes() } else { fields };
     let record = header.laz_vlr().map_err(|e| damaged(&format!("its LASzip record cannot be read ({e})")))?;
     let mut source = Cursor::new(bytes);
     source.set_position(points_at(source.get_ref()) as u64);
@@ -139,7 +142,8 @@ fn read_points(
     let promised = header.number_of_points();
     let at_once = (BATCH_BYTES / u64::from(header.point_format().len()).max(1)).clamp(1, BATCH);
     let mut batch = PointDataBuilder::new().for_header(header).build();
-    let (mut points, mut colours) = (Vec::new(), Vec::new());
+    let (mut points, mut colours, mut sum) = (Vec::new(), Vec::new(), [0.0; 3]);
+    let normals = Normals::of(header);
     loop {
         if cancelled() {
             return Err(CodecError::new("interrupted"));
@@ -155,13 +159,18 @@ fn read_points(
             }
             points.push(place);
         }
+        if let Some(normals) = normals {
+            for normal in batch.raw_bytes().chunks_exact(batch.record_len()).filter_map(|point| normals.read(point)) {
+                (0..3).for_each(|axis| sum[axis] += normal[axis]);
+            }
+        }
         colours.extend(batch.rgb().into_iter().flatten().map(<[u16; 3]>::from));
     }
     if (points.len() as u64) < promised {
         return Err(cut_short(promised, points.len(), "the file ends"));
     }
     let colours = if colours.len() == points.len() { to_bytes(&colours) } else { Vec::new() };
-    Ok(Cloud { points, colours, ..Cloud::default() })
+    Ok(Cloud { points, colours, normals: sum, ..Cloud::default() })
 }
 
 fn to_bytes(colours: &[[u16; 3]]) -> Vec<[u8; 3]> {

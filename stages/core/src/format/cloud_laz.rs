@@ -11,16 +11,13 @@ use las::{Builder, PointDataBuilder, Transform, Vector, Version, Vlr, Writer};
 use rayon::prelude::*;
 
 use super::cloud_las::{PROJECTION_USER, WKT_RECORD};
+use super::las_normals::{ENTRY_BYTES, RECORD as EXTRA_BYTES_RECORD};
 use crate::artefact::{Cloud, CodecError};
 
 /// Metres an integer coordinate counts.
 const SCALE_M: f64 = 1e-4;
 /// Names of the dimensions of a normal.
 const NORMAL: [&str; 3] = ["NormalX", "NormalY", "NormalZ"];
-/// Number of the record that describes extra dimensions.
-const EXTRA_BYTES_RECORD: u16 = 4;
-/// Bytes of its entry for one dimension.
-const ENTRY_BYTES: usize = 192;
 /// Types of dimensions by the numbers of the specification.
 const UNSIGNED_32: u8 = 5;
 const FLOAT_32: u8 = 9;
@@ -171,6 +168,11 @@ mod tests {
             assert!((0..3).all(|axis| (read[axis] - given[axis]).abs() <= 0.5001 * SCALE_M));
         }
         assert_eq!(read.colours, cloud().colours);
+        let expected = cloud()
+            .normals
+            .iter()
+            .fold([0.0; 3], |sum: [f64; 3], normal| [0, 1, 2].map(|axis| sum[axis] + f64::from(normal[axis])));
+        assert_eq!(read.normals, expected);
         let mut reader = las::Reader::new(Cursor::new(bytes)).unwrap();
         let first = reader.read_points(1).unwrap();
         let point = first.points().next().unwrap().unwrap();

@@ -32,7 +32,10 @@ pub fn write(inventory: &Inventory) -> Result<Vec<u8>, CodecError> {
 fn system(frame: Frame) -> String {
     match frame.crs() {
         None => format!("LOCAL_CS[\"rockface {frame} frame\",UNIT[\"metre\",1]]"),
-        Some(crs) => crs.epsg().map_or_else(|| crs.horizontal().wkt(), |code| format!("urn:ogc:def:crs:EPSG::{code}")),
+        Some(crs) => {
+            let plane = crs.horizontal();
+            plane.epsg().map_or_else(|| plane.wkt(), |code| format!("urn:ogc:def:crs:EPSG::{code}"))
+        }
     }
 }
 

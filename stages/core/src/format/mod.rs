@@ -6,6 +6,7 @@ pub mod depth_exr;
 pub mod distribution_file;
 pub mod geotiff;
 pub mod inventory_file;
+mod las_normals;
 mod laz_check;
 pub mod noise_file;
 pub mod nouns;

@@ -85,6 +85,28 @@ mod tests {
     }
 
     #[test]
+    fn heights_are_stated_so_that_others_read_them_and_come_back() {
+        use crate::artefact::Georeference;
+        use crate::crs::Crs;
+        let system = |text: &str| {
+            let mut raster = raster(2, 2, 1);
+            let crs: Crs = text.parse().unwrap();
+            raster.frame = Frame::World.at(Some(Georeference::world(crs.clone())));
+            let bytes = write(&raster).unwrap();
+            let stated = super::read_system(&bytes).unwrap().stated.unwrap();
+            assert!(
+                crs.agrees_with(&raster.frame.crs().unwrap().clone()) && stated.states_heights() == crs.has_heights()
+            );
+            super::tags::geo_keys(raster.frame).0[..3].to_vec()
+        };
+        // GDAL reads heights from GeoTIFF 1.1 on.
+        assert_eq!((system("EPSG:25832"), system("EPSG:25832+7837")), (vec![1, 1, 0], vec![1, 1, 1]));
+        let plane = "EPSG:25832".parse::<Crs>().unwrap().wkt();
+        let gauge = "VERT_CS[\"our gauge\",VERT_DATUM[\"our gauge\",2005],UNIT[\"metre\",1],AXIS[\"Up\",UP]]";
+        assert_eq!(system(&format!("COMPD_CS[\"both\",{plane},{gauge}]")), [1, 1, 0]);
+    }
+
+    #[test]
     fn a_tile_that_is_left_out_has_no_value() {
         let whole = raster(8, 6, 1);
         let mut bytes = write(&whole).unwrap();

@@ -94,9 +94,12 @@ pub fn read_system(bytes: &[u8]) -> Result<System, CodecError> {
     let texts = ascii(&mut file, Tag::GeoAsciiParamsTag).unwrap_or_default();
     let keys = GeoKeys { directory: &placement.keys, doubles: &doubles, ascii: &texts };
     let frame = metadata(&mut file).placed();
-    // Of a code that is not known here our own files have the definition too.
+    // Of a code that is not known here, and of heights without a code, our own files have the definition too.
     let own = || frame.and_then(Frame::crs).map(Stated::of_crs);
-    let stated = keys.stated().map(|stated| own().filter(|_| stated.kind == Kind::Unknown).unwrap_or(stated));
+    let is_better = |own: &Stated, stated: &Stated| {
+        stated.kind == Kind::Unknown || own.states_heights() && !stated.states_heights() && own.agrees_with(stated)
+    };
+    let stated = keys.stated().map(|stated| own().filter(|own| is_better(own, &stated)).unwrap_or(stated));
     let corner = placement.corner().ok().map(|[_, _, left, top]| [left, top, 0.0]);
     Ok(System { frame, stated, corner })
 }

@@ -46,7 +46,7 @@ pub fn geo_keys(frame: Frame) -> (Vec<u16>, String) {
     } else {
         keys.push([LINEAR_UNITS, 0, 1, METRE]);
     }
-    let mut directory = vec![1, 1, 0, keys.len() as u16];
+    let mut directory = vec![1, 1, geo_keys::minor_revision(&keys), keys.len() as u16];
     directory.extend(keys.as_flattened());
     (directory, texts)
 }
