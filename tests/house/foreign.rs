@@ -101,7 +101,7 @@ const CASES: [(&str, &str, &str, Outcome); 27] = [
         Refused(&["none of the 2 images is oriented", "the reconstruction has registered no image"]),
     ),
     ("colmap-text", "import-cameras.cameras", "", Read(&["items 2"], &[])),
-    ("colmap-fisheye", "import-cameras.cameras", "", Refused(&["`OPENCV_FISHEYE` is not known", "models: "])),
+    ("colmap-fisheye", "import-cameras.cameras", "", Refused(&["`OPENCV_FISHEYE` cannot be held", "models: "])),
 ];
 
 fn folder() -> PathBuf {

@@ -69,7 +69,7 @@ fn a_pair_without_overlap() {
         &cameras(3.5, 4.0, 0.0),
         &[list],
         "pairs",
-        &["`left+right` is no stereo pair", "no part of the face lies in both"],
+        &["`left+right` is no stereo pair", "no part of the face is in both"],
     );
 }
 

@@ -1,7 +1,10 @@
 //! `export-cameras`: writes an image block as another program's file, or fails where the format cannot hold it exactly.
 
+use std::borrow::Cow;
+
 use crate::camera::camera_files::{bundler, colmap_binary, colmap_text, metashape};
-use rockface_core::artefact::{Cameras, Covariance, Files, Kind, Noun};
+use crate::camera::orientation::{cameras_to_frame, covariance_to_frame};
+use rockface_core::artefact::{Cameras, Covariance, Files, Frame, Kind, Noun, Transform};
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, params};
 
 choice! {
@@ -39,12 +42,13 @@ impl Stage for ExportCameras {
     const INPUTS: &'static [Port] = &[
         Port::one("cameras", &[Kind::Cameras], "The block to write."),
         Port::optional("covariance", &[Kind::Covariance], "Its covariance; only Metashape's format holds some of it."),
+        Port::optional("transform", &[Kind::Transform], "wall_from_world: the block is written in the world frame."),
     ];
     const OUTPUTS: &'static [Port] = &[Port::one("files", &[Kind::Files], "The files.")];
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
-        let cameras: &Cameras = inputs.one("cameras")?;
-        let covariance: Option<&Covariance> = inputs.optional("covariance")?;
+        let (cameras, covariance) = in_frame(inputs, context)?;
+        let (cameras, covariance) = (&*cameras, covariance.as_deref());
         let single = |name: &str, bytes: Vec<u8>| vec![(name.to_owned(), bytes)];
         let files = match params.format {
             Format::ColmapText => colmap_text::write(cameras)?,
@@ -63,6 +67,32 @@ impl Stage for ExportCameras {
         context.note(format!("{} images, {} sensors", cameras.images.len(), cameras.sensors.len()));
         Ok(Outputs::of("files", Files { files }))
     }
+}
+
+/// The block and its covariance in the frame they are written in: that of the world where the transform from it is given.
+fn in_frame<'a>(
+    inputs: &'a Inputs,
+    context: &Context,
+) -> Result<(Cow<'a, Cameras>, Option<Cow<'a, Covariance>>), StageError> {
+    let cameras: &Cameras = inputs.one("cameras")?;
+    let covariance: Option<&Covariance> = inputs.optional("covariance")?;
+    let Some(wall_from_world) = inputs.optional::<Transform>("transform")? else {
+        if cameras.frame == Frame::Wall && cameras.frame.wall_from_world().is_some_and(|way| !way.is_identity()) {
+            context.note(
+                "the block is written in the wall frame; with the input `transform` it is written in the world's",
+            );
+        }
+        return Ok((Cow::Borrowed(cameras), covariance.map(Cow::Borrowed)));
+    };
+    if wall_from_world.to != cameras.frame.to_string() {
+        let (to, frame) = (&wall_from_world.to, cameras.frame);
+        let error =
+            StageError::new(format!("the transform leads to the {to} frame, the cameras are in the {frame} frame"));
+        return Err(error.hint("give the `transform` that `transform-crs` made, or leave it out"));
+    }
+    let back = wall_from_world.inverse();
+    let covariance = covariance.map(|covariance| covariance_to_frame(covariance, &back, Frame::World)).transpose()?;
+    Ok((Cow::Owned(cameras_to_frame(cameras, &back, Frame::World)), covariance.map(Cow::Owned)))
 }
 
 #[cfg(test)]
@@ -108,6 +138,32 @@ mod tests {
                 assert!((x.centre() - y.centre()).norm() < 1e-13, "{format}");
             }
         }
+    }
+
+    #[test]
+    fn a_block_goes_back_to_the_world() {
+        let world = Cameras { frame: Frame::World, ..block() };
+        let turn = nalgebra::Rotation3::from_euler_angles(0.3, -0.2, 1.1);
+        let (origin, shift) = ([480_000.0, 5_150_000.0, 1200.0].into(), [0.5, 0.0, -1.0].into());
+        let wall_from_world = Transform::new("world", "wall", turn.matrix(), origin, shift);
+        let inputs = [
+            ("cameras", Artefact::Cameras(cameras_to_frame(&world, &wall_from_world, Frame::Wall))),
+            ("transform", Artefact::Transform(wall_from_world)),
+        ];
+        let run = |inputs: &[(&'static str, Artefact)]| {
+            run_stage::<ExportCameras>(&TestHost::default(), &json!({"format": "json"}), inputs)
+        };
+        let Some(Artefact::Files(files)) = run(&inputs).unwrap().into_inner().remove("files") else {
+            panic!("no files")
+        };
+        let back = Cameras::decode(&files.files[0].1).unwrap();
+        assert_eq!(back.frame, Frame::World);
+        for (x, y) in world.images.iter().zip(&back.images) {
+            assert!((x.matrix() - y.matrix()).norm() < 1e-14 && (x.centre() - y.centre()).norm() < 1e-8);
+        }
+        let [_, transform] = inputs;
+        let error = run(&[("cameras", Artefact::Cameras(world)), transform]).unwrap_err();
+        assert!(error.message.contains("leads to the wall frame"), "{error}");
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! Cameras: interior and exterior orientation, their files, their covariance, and the wall frame.
 
+pub mod back_side;
 pub mod camera_files;
 pub mod covariance_files;
 pub mod covariance_sampling;

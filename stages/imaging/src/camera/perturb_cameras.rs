@@ -98,6 +98,13 @@ params! {
     }
 }
 
+impl PerturbCamerasParams {
+    /// Whether any draw can have an effect.
+    fn moves_something(&self) -> bool {
+        self.scale > 0.0 && (self.exterior || self.interior)
+    }
+}
+
 /// Draws the estimated orientation of an epoch: the true orientation plus random errors.
 pub struct PerturbCameras;
 
@@ -118,7 +125,7 @@ impl Stage for PerturbCameras {
             Model::Independent => params.independent.numbers().any(|sd| sd != 0.0) || !params.errors.is_empty(),
             Model::None => false,
         };
-        something && params.scale > 0.0 && (params.exterior || params.interior)
+        something && params.moves_something()
     }
 
     fn check(params: &Self::Params) -> Vec<Fault> {
@@ -181,6 +188,9 @@ fn independent(
     let read = |path: &str| context.read(&FileRef(path.to_owned()));
     let rules = with_files_read(&params.errors, &read).map_err(|e| e.within("`errors`"))?;
     let rules = Rules::of(&rules, cameras)?;
+    if !params.moves_something() {
+        return Ok(Vec::new());
+    }
     let mut errors = Vec::new();
     for parameter in all(cameras) {
         let name = parameter.name(cameras);
@@ -224,7 +234,7 @@ fn joint(
     let find = |name: &String| Parameter::find(cameras, name);
     let parameters = covariance.parameters.iter().map(find).collect::<Result<Vec<_>, _>>()?;
     let root = JointRoot::new(covariance)?;
-    if params.scale == 0.0 {
+    if !params.moves_something() {
         return Ok(Vec::new());
     }
     let z: Vec<f64> = parameters.iter().map(|parameter| draw(context, &parameter.name(cameras))).collect();

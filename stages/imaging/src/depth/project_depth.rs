@@ -2,6 +2,7 @@
 
 use rayon::prelude::*;
 
+use crate::camera::back_side::shows_back;
 use crate::camera::model::Camera;
 use crate::camera::ray_row::RayRow;
 use crate::depth::depth_buffer::{DepthBuffer, Drawing, NO_TRIANGLE, draw, draw_rounded, rounded, triangles};
@@ -106,6 +107,12 @@ impl Stage for ProjectDepth {
         let Some((median_m, seen)) = upper_median(&map.z) else {
             return Err(nothing_visible(mesh, &camera, &drawing, image));
         };
+        if params.visibility && shows_back(&camera, mesh) {
+            let name = &image.name;
+            context.warn(format!(
+                "image `{name}` shows hardly anything but the back of the mesh: check frames and orientation, or turn its triangles"
+            ));
+        }
         context.metric("valid_share", seen as f64 / map.z.len() as f64, "1");
         context.metric("median_depth", median_m, "m");
         context.metric("pixel_footprint", median_m / camera.sensor().f * f64::from(params.downscale), "m");

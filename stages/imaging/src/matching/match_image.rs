@@ -117,17 +117,20 @@ impl Stage for MatchImage {
     }
 
     fn check(params: &Self::Params) -> Vec<Fault> {
+        let mut faults = params.matching.faults();
         if params.matching.noise == NoiseSource::Learnt && !matches!(params.noise_sharing, NoiseSharing::Pair(_)) {
             let fault =
                 Fault::new("a learnt model is the same for all pairs of an acquisition: leave `noise_sharing` out");
-            return vec![Fault { path: vec!["noise_sharing".into()], ..fault }];
+            faults.push(Fault { path: vec!["noise_sharing".into()], ..fault });
+            return faults;
         }
         let shared = params.matching.matcher.as_ref().is_some_and(|matcher| matcher.image_share > 0.0);
         if !shared || matches!(params.noise_sharing, NoiseSharing::Pair(_)) {
-            return Vec::new();
+            return faults;
         }
         let fault = Fault::new("`matcher` has an `image_share` already: give one of the two");
-        vec![Fault { path: vec!["noise_sharing".into()], ..fault }]
+        faults.push(Fault { path: vec!["noise_sharing".into()], ..fault });
+        faults
     }
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {

@@ -6,11 +6,13 @@ use crate::matching::matched::{Match, TakeMatches, Tally};
 use crate::matching::noise::model_draws::Model;
 use crate::matching::pair::{Matcher, Sampling};
 use crate::matching::params::{Matching, NoisePorts};
+use crate::matching::rectification::Rectification;
 use crate::matching::rectified_row::rectified_camera;
 use crate::matching::setup::{check_size, noisy_image};
 use crate::matching::side::Side;
 use rockface_core::artefact::{Cameras, Depth, Image, Kind, Noise, Pair, Pairs, Raster};
 use rockface_core::numerics::simd::{LANES, Lanes};
+use rockface_core::params::Fault;
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, params};
 
 params! {
@@ -62,6 +64,10 @@ impl Stage for MatchPair {
         params.matching.draws()
     }
 
+    fn check(params: &Self::Params) -> Vec<Fault> {
+        params.matching.faults()
+    }
+
     fn memory_bytes(params: &Self::Params, inputs: &InputSizes) -> u64 {
         // The noisy map, its file and its rows as they are made; further terms of the noise and channels are maps too.
         let map = inputs.of("first").max(inputs.of("second"));
@@ -88,6 +94,9 @@ impl Stage for MatchPair {
         let matcher = setup.matcher(&pair.name, depths, side, noisy, acquisition.as_ref(), &keys)?;
         let (map, tally) = matched_map(params, &matcher, noisy, noisy_image(noisy, ideal[side])?);
         report(params, context, pair, &map, &tally)?;
+        if params.channels {
+            report_geometry(&matcher.geometry().rectification, context);
+        }
         Ok(Outputs::of("depth", map))
     }
 }
@@ -240,6 +249,13 @@ fn report(
         context.warn(warning);
     }
     Ok(())
+}
+
+/// Logs what turns disparities of the channels into depths.
+fn report_geometry(rectification: &Rectification, context: &Context) {
+    context.metric("rectified_focal", rectification.focal_px, "px");
+    context.metric("baseline", rectification.baseline_m, "m");
+    context.metric("disparity_at_infinity", rectification.shift_px(), "px");
 }
 
 #[cfg(test)]

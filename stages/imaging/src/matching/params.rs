@@ -7,7 +7,7 @@ use crate::matching::noise::paper::{Distribution, FieldRecipe, Interpolation, Va
 use crate::matching::pair::Sampling;
 use crate::matching::setup::Setup;
 use rockface_core::artefact::{Depth, Raster};
-use rockface_core::params::Range;
+use rockface_core::params::{Fault, Range};
 use rockface_core::{StageError, choice, params};
 
 choice! {
@@ -65,7 +65,8 @@ params! {
         kernel: Interpolation = Interpolation::CatmullRom,
         /// What the standard deviation of the smooth noise refers to.
         variance: Variance = Variance::Nodes,
-        /// Distribution of the white noise.
+        /// Distribution of the white noise; noise with a `local_length_px` of `matcher` is Gaussian. With an `image_share` of `matcher` it is that of each part,
+        /// and their sum is nearer to a Gaussian.
         local_distribution: Distribution = Distribution::Gaussian,
         /// Distribution of the nodes of the smooth noise.
         regular_distribution: Distribution = Distribution::Gaussian,
@@ -84,10 +85,23 @@ params! {
 const DOUBTFUL_Y_PARALLAX_PX: f64 = 0.5;
 
 impl Matching {
-    /// Whether matching draws random numbers.
+    /// Whether matching draws random numbers. The terms of `matcher` draw their fields without the paper's noise too.
     pub fn draws(&self) -> bool {
-        let terms = self.matcher.as_ref().is_some_and(MatcherTerms::draws);
-        self.noise == NoiseSource::Learnt || self.sigma_local_px > 0.0 || self.sigma_regular_px > 0.0 || terms
+        let has_paper_noise = self.sigma_local_px > 0.0 || self.sigma_regular_px > 0.0;
+        self.noise == NoiseSource::Learnt || has_paper_noise || self.matcher.is_some()
+    }
+
+    /// What of the parameters has no effect beside others.
+    pub fn faults(&self) -> Vec<Fault> {
+        let is_correlated = self.matcher.as_ref().is_some_and(|terms| terms.local_length_px > 0.0);
+        if self.noise == NoiseSource::Learnt || !is_correlated || self.local_distribution == Distribution::Gaussian {
+            return Vec::new();
+        }
+        let fault = Fault::new(
+            "`local_distribution` is that of white noise, and with `local_length_px` of `matcher` the local noise is a Gaussian \
+             field: leave one of the two out",
+        );
+        vec![Fault { path: vec!["local_distribution".into()], ..fault }]
     }
 
     /// How pairs are matched, with a map of the strength of the noise or a learnt model where one is given.

@@ -8,7 +8,7 @@ use crate::survey::block_adjustment::normals::{ObjectPoint, Priors, reduced};
 use crate::survey::block_adjustment::propagation::{in_all, pair_effect, stereo_pairs};
 use crate::survey::block_adjustment::tie_points::{Visibility, Wanted, control_points, tie_points};
 use crate::survey::block_adjustment::unknowns::{FreeInterior, Unknowns};
-use rockface_core::artefact::{Cameras, Covariance, Kind, Mesh, Table};
+use rockface_core::artefact::{Cameras, Covariance, Frame, Kind, Mesh, Table};
 use rockface_core::params::{Fault, Range};
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params};
 
@@ -50,6 +50,16 @@ impl InteriorSigma {
     }
 }
 
+choice! {
+    /// Along which axes positions of projection centres are measured.
+    pub enum PositionAxes {
+        /// Those of the frame of the cameras: in the wall frame X along the face, Y up it, Z out of the rock.
+        Cameras = "cameras",
+        /// Those of the world: east, north, up.
+        World = "world",
+    }
+}
+
 params! {
     /// Parameters of `estimate-covariance`.
     pub struct EstimateCovarianceParams {
@@ -67,6 +77,8 @@ params! {
         control_sigma_px: Option<f64> = None; Range::Positive,
         /// Standard deviations of X, Y, Z of every projection centre (GNSS); null: not measured.
         position_sigma_m: Option<[f64; 3]> = None; Range::Positive,
+        /// Whether these X, Y, Z are the axes of the frame of the cameras or those of the world; null: those of the cameras, with a warning where it matters.
+        position_axes: Option<PositionAxes> = None,
         /// Parameters of every sensor that are estimated too, of f, cx, cy, b1, b2, k1 to k4, p1, p2; none: the lens is known.
         free_interior: Vec<String> = Vec::new(),
         /// What is known of them beforehand.
@@ -88,7 +100,7 @@ pub struct EstimateCovariance;
 impl Stage for EstimateCovariance {
     type Params = EstimateCovarianceParams;
     const NAME: &'static str = "estimate-covariance";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: Page = Page::new(include_str!("estimate_covariance.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("cameras", &[Kind::Cameras], "The orientation the adjustment is linearised at."),
@@ -153,7 +165,7 @@ impl Stage for EstimateCovariance {
         }
         let points = object_points(params, cameras, mesh, context)?;
         let unknowns = Unknowns::new(cameras, free_interior(params));
-        let priors = Priors { position_sigma_m: params.position_sigma_m };
+        let priors = priors(params, cameras, context)?;
         let normals = reduced(cameras, &unknowns, &points, &priors)?;
         context.check_cancelled()?;
         let inverse = invert(&normals, cameras, &unknowns, datum(params, cameras, &points))?;
@@ -188,6 +200,32 @@ fn free_places(params: &EstimateCovarianceParams) -> Vec<usize> {
     params.free_interior.iter().filter_map(|name| INTERIOR.iter().position(|known| known == name)).collect()
 }
 
+/// What GNSS says of projection centres, in the frame of the cameras.
+fn priors(params: &EstimateCovarianceParams, cameras: &Cameras, context: &Context) -> Result<Priors, StageError> {
+    let Some(sigma_m) = params.position_sigma_m else { return Ok(Priors::default()) };
+    let along_cameras = Priors { position_sigma_m: Some(sigma_m), cameras_from_measured: None };
+    let way = cameras.frame.wall_from_world().filter(|way| cameras.frame == Frame::Wall && !way.is_identity());
+    match (params.position_axes, way) {
+        (Some(PositionAxes::World), Some(way)) => {
+            Ok(Priors { cameras_from_measured: Some(way.matrix()), ..along_cameras })
+        }
+        (Some(PositionAxes::World), None) if cameras.frame == Frame::Wall => {
+            let error = StageError::new("`position_axes: world` needs to know how the wall stands in the world");
+            Err(error.hint(
+                "send mesh and cameras through `transform-crs`, or give the standard deviations along the wall's axes",
+            ))
+        }
+        (None, Some(_)) if sigma_m.iter().any(|sigma| (sigma - sigma_m[0]).abs() > 0.0) => {
+            context.warn(
+                "`position_sigma_m` counts along the axes of the wall, Z out of the rock; for GNSS, whose Z is up, set \
+                 `position_axes: world`, or `cameras` if this is meant",
+            );
+            Ok(along_cameras)
+        }
+        _ => Ok(along_cameras),
+    }
+}
+
 fn free_interior(params: &EstimateCovarianceParams) -> Vec<FreeInterior> {
     let free = |place| FreeInterior { place, sigma: params.interior_sigma.of(place) };
     free_places(params).into_iter().map(free).collect()
@@ -205,14 +243,23 @@ fn object_points(
     let mut random = context.stream("tie-points", "").generator();
     let mut points = tie_points(mesh, &visibility, &Wanted { count, most_images, sigma_px }, &mut random);
     if points.is_empty() {
-        return Err(StageError::new("no part of the face lies in two images: there are no tie points")
-            .hint("check frames and orientation, or plan the block with more overlap"));
+        let behind = (0..cameras.images.len()).any(|image| visibility.is_behind(image));
+        let hint = if behind {
+            "images show only the back of the face: check frames and orientation, or turn its triangles"
+        } else {
+            "check frames and orientation, or plan the block with more overlap"
+        };
+        return Err(StageError::new("no part of the face lies in two images: there are no tie points").hint(hint));
     }
     if points.len() < count {
         context.warn(format!("only {} of {count} tie points: little of the face lies in two images", points.len()));
     }
     for (image, entry) in cameras.images.iter().enumerate() {
         let rays = points.iter().filter(|point| point.images.contains(&image)).count();
+        if rays < 3 && visibility.is_behind(image) {
+            return Err(StageError::new(format!("image `{}` shows only the back of the face", entry.name))
+                .hint("leave it out of the block, or turn the triangles if all images do"));
+        }
         if rays < 3 {
             fail!("image `{}` has {rays} tie points, three are needed: more `tie_points`, or leave it out", entry.name);
         }

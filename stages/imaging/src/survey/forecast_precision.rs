@@ -48,7 +48,7 @@ pub struct ForecastPrecision;
 impl Stage for ForecastPrecision {
     type Params = ForecastPrecisionParams;
     const NAME: &'static str = "forecast-precision";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PAGE: Page = Page::new(include_str!("forecast_precision.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("cameras", &[Kind::Cameras], "The planned block."),
@@ -83,7 +83,9 @@ impl Stage for ForecastPrecision {
         let joint = covariance.map(|covariance| Joint::new(covariance, cameras)).transpose()?;
         let points = sample_vertices(mesh, SAMPLES);
         let survey = Survey::new(params, cameras, joint);
-        let pairs = chosen_pairs(params, inputs.optional("pairs")?, cameras, &points, context)?;
+        let visibility = Visibility::new(cameras, mesh);
+        let mut pairs = chosen_pairs(params, inputs.optional("pairs")?, cameras, &points, context)?;
+        pairs.retain(|pair| !pair.iter().any(|image| visibility.is_behind(*image)));
         let mut rows = Vec::new();
         for pair in &pairs {
             context.check_cancelled()?;
@@ -93,7 +95,6 @@ impl Stage for ForecastPrecision {
                 rows.push(forecast.row(name, Some(baseline_ratio(cameras, pair, &forecast)), None));
             }
         }
-        let visibility = Visibility::new(cameras, mesh);
         let seen: Vec<_> = points.iter().map(|point| (*point, visibility.images(point))).collect();
         let all = survey.forecast(&seen).ok_or_else(|| StageError::new("no part of the face lies in two images"))?;
         let simulated = inputs.optional::<Raster>("difference")?.and_then(simulated);

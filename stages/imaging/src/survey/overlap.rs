@@ -2,6 +2,7 @@
 
 use nalgebra::Vector3;
 
+use crate::camera::back_side::shows_back;
 use crate::camera::model::Camera;
 use rockface_core::artefact::{Cameras, Mesh, Pair};
 use rockface_core::numerics::portable_math;
@@ -48,7 +49,7 @@ impl std::fmt::Display for NoPair {
         f.write_str(match self {
             Self::NoBaseline => "their projection centres are the same",
             Self::Forward => "they look along their baseline",
-            Self::NothingShared => "no part of the face lies in both",
+            Self::NothingShared => "no part of the face is in both, seen from its front",
         })
     }
 }
@@ -59,6 +60,17 @@ impl<'a> Views<'a> {
         let camera = |image| Camera::new(cameras.sensor(image), image);
         let depths = cameras.images.iter().map(|image| depths_seen(&camera(image), points)).collect();
         Self { cameras, depths }
+    }
+
+    /// At most `limit` vertices of a face in every image; images that show only its back see none.
+    pub fn of_face(cameras: &'a Cameras, mesh: &Mesh, limit: usize) -> Self {
+        let mut views = Self::new(cameras, &sample_vertices(mesh, limit));
+        for (image, depths) in cameras.images.iter().zip(&mut views.depths) {
+            if shows_back(&Camera::new(cameras.sensor(image), image), mesh) {
+                depths.fill(None);
+            }
+        }
+        views
     }
 
     /// The pair of two images (i < j in block order), ordered so that the second lies in the direction of image x.

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use crate::survey::overlap::{NoPair, Views, sample_vertices};
+use crate::survey::overlap::{NoPair, Views};
 use rockface_core::artefact::{Cameras, Kind, Mesh, Pair, Pairs};
 use rockface_core::params::{Fault, Range};
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
@@ -34,7 +34,7 @@ pub struct SelectPairs;
 impl Stage for SelectPairs {
     type Params = SelectPairsParams;
     const NAME: &'static str = "select-pairs";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PAGE: Page = Page::new(include_str!("select_pairs.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("cameras", &[Kind::Cameras], "The true orientation."),
@@ -69,7 +69,7 @@ impl Stage for SelectPairs {
             ));
             return Err(error.hint("send both through one transform-crs"));
         }
-        let views = Views::new(cameras, &sample_vertices(mesh, SAMPLES));
+        let views = Views::of_face(cameras, mesh, SAMPLES);
         let pairs = match &params.list {
             Some(list) => by_hand(list, cameras, &views)?,
             None => within_limits(params, cameras, &views, context)?,

@@ -34,7 +34,7 @@ pub fn model(number: i32) -> Result<(&'static str, usize), StageError> {
     let model = usize::try_from(number).ok().and_then(|at| MODELS.get(at));
     model
         .copied()
-        .ok_or_else(|| StageError::new(format!("camera model number {number} is not known here")).hint(way_out()))
+        .ok_or_else(|| StageError::new(format!("camera model number {number} is none of COLMAP's")).hint(way_out()))
 }
 
 /// The number of a model by its name.
@@ -86,7 +86,7 @@ fn opencv(model: &str, params: &[f64]) -> Result<[f64; 9], StageError> {
         ("SIMPLE_PINHOLE" | "PINHOLE" | "SIMPLE_RADIAL" | "RADIAL" | "OPENCV" | "FULL_OPENCV", _) => {
             fail!("model {model} does not have {} parameters", params.len())
         }
-        _ => return Err(StageError::new(format!("camera model `{model}` is not known here")).hint(way_out())),
+        _ => return Err(StageError::new(format!("camera model `{model}` cannot be held")).hint(way_out())),
     })
 }
 
@@ -115,6 +115,32 @@ pub fn parameters(sensor: &Sensor) -> Result<(&'static str, Vec<f64>), StageErro
         _ => ("FULL_OPENCV", vec![k1, k2, p1, p2, k3, 0.0, 0.0, 0.0]),
     };
     Ok((name, pinhole.into_iter().chain(distortion).collect()))
+}
+
+/// A camera by its number; one of a model that cannot be held is an error where an image has it.
+pub type Numbered = (u64, Result<Sensor, StageError>);
+
+/// The sensors that can be held, and no error but of those that images have.
+///
+/// # Errors
+///
+/// Two cameras or two images of one number; a camera of an image that cannot be held.
+pub fn of_images(cameras: Vec<Numbered>, poses: &[Pose]) -> Result<Vec<(u64, Sensor)>, StageError> {
+    check_once("CAMERA_ID", cameras.iter().map(|(id, _)| *id))?;
+    check_once("IMAGE_ID", poses.iter().map(|pose| pose.id))?;
+    let has_image = |id: u64| poses.iter().any(|pose| pose.camera == id);
+    let needed = cameras.into_iter().filter(|(id, sensor)| sensor.is_ok() || has_image(*id));
+    needed.map(|(id, sensor)| Ok((id, sensor?))).collect()
+}
+
+fn check_once(what: &str, numbers: impl Iterator<Item = u64>) -> Result<(), StageError> {
+    let mut sorted: Vec<u64> = numbers.collect();
+    sorted.sort_unstable();
+    match sorted.windows(2).find(|pair| pair[0] == pair[1]) {
+        Some(pair) => Err(StageError::new(format!("{what} {} is there twice", pair[0]))
+            .hint("two models in one file? merge them in COLMAP (model_merger), or import one of them")),
+        None => Ok(()),
+    }
 }
 
 /// A pose as COLMAP writes it.

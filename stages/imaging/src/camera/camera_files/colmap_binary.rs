@@ -1,8 +1,8 @@
 //! Cameras from and to the binary model of COLMAP: `cameras.bin`, `images.bin` and an empty `points3D.bin`, little-endian.
 
-use super::colmap::{self, Pose};
+use super::colmap::{self, Numbered, Pose};
 use super::{CameraFile, assemble};
-use rockface_core::artefact::{Cameras, Frame, Sensor};
+use rockface_core::artefact::{Cameras, Frame};
 use rockface_core::{StageError, fail};
 
 /// Reads a binary model. Images come in the order of their ids; their points are ignored.
@@ -11,8 +11,9 @@ pub fn read(cameras: &[u8], images: &[u8], frame: Frame) -> Result<CameraFile, S
         let file = file.to_owned();
         move |e: StageError| StageError { message: format!("{file}: {}", e.message), ..e }
     };
-    let sensors = records(cameras, sensor).map_err(within("cameras.bin"))?;
+    let cameras = records(cameras, sensor).map_err(within("cameras.bin"))?;
     let mut poses = records(images, pose).map_err(within("images.bin"))?;
+    let sensors = colmap::of_images(cameras, &poses)?;
     poses.sort_by_key(|pose| pose.id);
     let images = poses.iter().map(|pose| colmap::image(pose, &sensors)).collect::<Result<Vec<_>, _>>()?;
     assemble(frame, sensors, images, Vec::new())
@@ -81,7 +82,7 @@ impl Bytes<'_> {
 }
 
 /// Camera id (u32), model (i32), width and height (u64), parameters.
-fn sensor(bytes: &mut Bytes) -> Result<(u64, Sensor), StageError> {
+fn sensor(bytes: &mut Bytes) -> Result<Numbered, StageError> {
     let id = u64::from(u32::from_le_bytes(bytes.take()?));
     let (model, count) = colmap::model(i32::from_le_bytes(bytes.take()?))?;
     let mut side = || {
@@ -93,7 +94,8 @@ fn sensor(bytes: &mut Bytes) -> Result<(u64, Sensor), StageError> {
     for _ in 0..count {
         parameters.push(f64::from_le_bytes(bytes.take()?));
     }
-    Ok((id, colmap::sensor(model, width, height, &parameters)?))
+    let of_camera = |e: StageError| StageError { message: format!("cameras.bin: camera {id}: {}", e.message), ..e };
+    Ok((id, colmap::sensor(model, width, height, &parameters).map_err(of_camera)))
 }
 
 /// Image id (u32), quaternion, translation, camera id (u32), name, count of points (u64), points of 24 bytes.
@@ -181,7 +183,7 @@ mod tests {
             says(&cameras[..end], &images, "cameras.bin:");
         }
         let fisheye = model(5, &[0.0; 8]).0;
-        says(&fisheye, &images, "cameras.bin: record 1 of 1: camera model `OPENCV_FISHEYE`");
+        says(&fisheye, &images, "cameras.bin: camera 7: camera model `OPENCV_FISHEYE`");
         says(&model(99, &[]).0, &images, "camera model number 99");
         says(&[&cameras[..], &[0]].concat(), &images, "1 bytes follow");
         let mut many = images.clone();

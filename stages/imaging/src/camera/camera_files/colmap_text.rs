@@ -9,10 +9,12 @@ use rockface_core::{StageError, fail};
 
 /// Reads a text model. Images come in the order of their ids.
 pub fn read(cameras: &str, images: &str, frame: Frame) -> Result<CameraFile, StageError> {
-    let sensors = content(cameras)
-        .map(|(number, line)| sensor(line).map_err(|e| at("cameras.txt", number, &e)))
-        .collect::<Result<Vec<_>, _>>()?;
+    let within = |number: usize| move |e: StageError| at("cameras.txt", number, &e);
+    let cameras = content(cameras)
+        .map(|(number, line)| Ok((camera_id(line).map_err(within(number))?, sensor(line).map_err(within(number)))))
+        .collect::<Result<Vec<_>, StageError>>()?;
     let mut poses = read_poses(images)?;
+    let sensors = colmap::of_images(cameras, &poses)?;
     poses.sort_by_key(|pose| pose.id);
     let images = poses.iter().map(|pose| colmap::image(pose, &sensors)).collect::<Result<Vec<_>, _>>()?;
     assemble(frame, sensors, images, Vec::new())
@@ -67,14 +69,17 @@ fn number<T: FromStr>(word: Option<&str>, what: &str) -> Result<T, StageError> {
     word.parse().map_err(|_| StageError::new(format!("{what}: `{word}` is not a number of its kind")))
 }
 
+fn camera_id(line: &str) -> Result<u64, StageError> {
+    number(line.split_whitespace().next(), "CAMERA_ID")
+}
+
 /// `CAMERA_ID MODEL WIDTH HEIGHT PARAMS...`
-fn sensor(line: &str) -> Result<(u64, Sensor), StageError> {
-    let mut words = line.split_whitespace();
-    let id = number(words.next(), "CAMERA_ID")?;
+fn sensor(line: &str) -> Result<Sensor, StageError> {
+    let mut words = line.split_whitespace().skip(1);
     let model = words.next().unwrap_or("");
     let (width_px, height_px) = (number(words.next(), "WIDTH")?, number(words.next(), "HEIGHT")?);
     let params = words.map(|word| number(Some(word), "parameter")).collect::<Result<Vec<f64>, _>>()?;
-    Ok((id, colmap::sensor(model, width_px, height_px, &params)?))
+    colmap::sensor(model, width_px, height_px, &params)
 }
 
 /// Each image has two lines, the second (its points) possibly empty.
@@ -150,6 +155,10 @@ mod tests {
         says(model("1 PINHOLE 9 7 9 9 1"), "does not have 3 parameters");
         says(model("# no\n1 PINHOLE 9 x 9 9 1 1"), "line 2: HEIGHT: `x`");
         says(model("2 PINHOLE 9 7 9 9 1 1"), "names camera 1");
+        let two = "1 PINHOLE 9 7 9 9 1 1\n";
+        says(model(&two.repeat(2)), "CAMERA_ID 1 is there twice");
+        says(read(two, &IMAGES.replace("\n2 ", "\n1 "), Frame::World), "IMAGE_ID 1 is there twice");
+        assert_eq!(model(&format!("{two}9 FOV 9 7 9 9 1 1 0.9")).unwrap().cameras.sensors.len(), 1);
         let missing = "1 1 0 0 0 0 0 0 1 a.png\n2 1 0 0 0 0 0 0 1 b.png\n";
         says(read("1 PINHOLE 9 7 9 9 1 1", missing, Frame::World), "line 2: not points");
     }

@@ -65,6 +65,13 @@ pub fn read(text: &str, frame: Frame) -> Result<CameraFile, StageError> {
             names.join(", ")
         ));
     }
+    let followers = idle.iter().filter(|camera| camera.follows).count();
+    if followers > 0 {
+        file.warnings.push(format!(
+            "{followers} of these are images of a rig of several cameras (`master_id`), whose orientation the file gives by that of \
+             another image: it is not computed here"
+        ));
+    }
     file.covariance = covariance(&chunk, &used, &sensors, &file.cameras)?;
     if file.covariance.is_some() {
         file.notes.push("covariance blocks as Metashape scaled them: nothing was multiplied".to_owned());

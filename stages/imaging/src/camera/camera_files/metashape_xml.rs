@@ -42,6 +42,8 @@ pub struct CameraEntry {
     pub sensor: String,
     /// Id of its component.
     pub component: Option<String>,
+    /// Whether its orientation is that of another camera of its rig.
+    pub follows: bool,
     /// Whether it takes part.
     pub enabled: bool,
     /// Rotation and centre of `X_chunk = R X_camera + C`.
@@ -83,13 +85,25 @@ pub fn read(text: &str) -> Result<Chunk, StageError> {
         return Err(StageError::new(format!("{} chunks ({}), one is needed", chunks.len(), labels.join(", ")))
             .hint("in Metashape: File > Export > Export Cameras, for one chunk, as Agisoft XML"));
     };
-    Ok(Chunk {
+    let chunk = Chunk {
         sensors: below(chunk, "sensors", "sensor").map(sensor).collect::<Result<_, _>>()?,
         cameras: below(chunk, "cameras", "camera").map(camera).collect::<Result<_, _>>()?,
         components: below(chunk, "components", "component").filter_map(component).collect::<Result<_, _>>()?,
         transform: child(chunk, "transform").map(similarity).transpose()?,
         reference: child(chunk, "reference").and_then(|node| node.text()).map(|text| text.trim().to_owned()),
-    })
+    };
+    check_once("sensor", chunk.sensors.iter().map(|sensor| sensor.id.as_str()))?;
+    check_once("component", chunk.components.iter().map(|(id, _)| id.as_str()))?;
+    Ok(chunk)
+}
+
+fn check_once<'a>(what: &str, ids: impl Iterator<Item = &'a str>) -> Result<(), StageError> {
+    let mut sorted: Vec<&str> = ids.collect();
+    sorted.sort_unstable();
+    match sorted.windows(2).find(|pair| pair[0] == pair[1]) {
+        Some(pair) => Err(StageError::new(format!("two {what}s have the id {}", pair[0]))),
+        None => Ok(()),
+    }
 }
 
 fn child<'a, 'i>(node: Node<'a, 'i>, name: &'static str) -> Option<Node<'a, 'i>> {
@@ -150,7 +164,14 @@ fn sensor(node: Node) -> Result<SensorEntry, StageError> {
 /// The numbers of a calibration; its resolution, else that of its sensor.
 fn calibration(sensor: Node, node: Node) -> Result<Vec<(String, f64)>, StageError> {
     let mut values = Vec::new();
-    let resolution = child(node, "resolution").or_else(|| child(sensor, "resolution"));
+    let [own, of_sensor] = [node, sensor].map(|node| child(node, "resolution"));
+    if let (Some(own), Some(of_sensor)) = (own, of_sensor) {
+        let size = |node: Node| [node.attribute("width"), node.attribute("height")].map(|side| side.map(str::to_owned));
+        if size(own) != size(of_sensor) {
+            fail!("{}: its <resolution> is another than that of its <sensor>", place(node));
+        }
+    }
+    let resolution = own.or(of_sensor);
     for side in ["width", "height"] {
         let Some(text) = resolution.and_then(|node| node.attribute(side)) else {
             fail!("{}: no <resolution> says its {side}", place(node))
@@ -188,6 +209,7 @@ fn camera(node: Node) -> Result<CameraEntry, StageError> {
         label: required(node, "label")?,
         sensor: required(node, "sensor_id")?,
         component: node.attribute("component_id").map(str::to_owned),
+        follows: node.attribute("master_id").is_some_and(|master| Some(master) != node.attribute("id")),
         enabled: !matches!(node.attribute("enabled"), Some("false" | "0")),
         transform: child(node, "transform").map(pose).transpose()?,
         rotation_covariance: child(node, "rotation_covariance").map(matrix).transpose()?,

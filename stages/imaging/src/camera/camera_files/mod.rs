@@ -122,13 +122,13 @@ fn check_image(image: &mut Image, sensors: usize) -> Result<(), StageError> {
     if image.sensor >= sensors {
         fail!("image `{name}` refers to sensor number {}, there are {sensors} (counted from 0)", image.sensor);
     }
-    if let Some(bad) = image.centre_m.iter().chain(&q).find(|x| !x.is_finite()) {
-        fail!("image `{name}`: {bad} is not a finite number");
-    }
     let length = q.iter().map(|x| x * x).sum::<f64>().sqrt();
-    if (length - 1.0).abs() > UNIT_TOLERANCE {
+    if q.iter().all(|x| x.is_finite()) && (length - 1.0).abs() > UNIT_TOLERANCE {
         let error = StageError::new(format!("image `{name}`: its quaternion has length {length}, not 1"));
         return Err(error.hint("a rotation is a unit quaternion (w, x, y, z); write all digits"));
+    }
+    if let Some(bad) = image.centre_m.iter().chain(&q).find(|x| !x.is_finite()) {
+        fail!("image `{name}`: {bad} is not a finite number");
     }
     // One that is of unit length to its last digits keeps its bits: a file read again is the same file.
     if (length - 1.0).abs() > 4.0 * f64::EPSILON {
@@ -199,6 +199,8 @@ mod tests {
         let mut odd = image("a", 0);
         odd.camera_from_object = [1.0 + 2e-6, 0.0, 0.0, 0.0];
         says(block(sensor("s"), odd.clone()), "`a`: its quaternion has length 1.000002");
+        let zero = Image { camera_from_object: [0.0; 4], centre_m: [f64::NAN; 3], ..image("a", 0) };
+        says(block(sensor("s"), zero), "its quaternion has length 0");
         odd.camera_from_object = [1.0 + 5e-7, 0.0, 0.0, 0.0];
         assert_eq!(block(sensor("s"), odd).unwrap().images[0].camera_from_object, [1.0, 0.0, 0.0, 0.0]);
         says(block(sensor("s"), image("a", 1)), "sensor number 1");

@@ -7,7 +7,7 @@ use crate::camera::model::Camera;
 use nalgebra::{Matrix3, Vector3};
 use rockface_core::artefact::{Artefact, Frame};
 use rockface_core::params::ParamType;
-use rockface_core::testing::{TestHost, shared};
+use rockface_core::testing::{TestHost, run_stage, shared};
 use serde_json::{Value, json};
 use std::sync::Arc;
 
@@ -154,6 +154,24 @@ fn only_what_draws_needs_a_seed() {
     assert!(!draws(json!({"model": "independent"})));
     assert!(draws(json!({"model": "independent", "independent": {"k": [1e-4, 0, 0, 0]}})));
     assert!(!draws(json!({"exterior": false, "interior": false})));
+}
+
+#[test]
+fn what_moves_nothing_draws_nothing() {
+    let rule = json!([{"of": ["f"], "error": {"normal": {"mean": 5, "sd": 1}}}]);
+    let still = [
+        json!({"scale": 0}),
+        json!({"exterior": false, "interior": false}),
+        json!({"model": "independent", "scale": 0, "independent": {"focal_px": 2}}),
+        json!({"model": "independent", "scale": 0, "errors": rule}),
+        json!({"model": "independent", "exterior": false, "interior": false, "errors": rule}),
+    ];
+    for with in still {
+        let inputs = [("cameras", pair().into()), ("covariance", covariance(&["a.X"]).into())];
+        let made = run_stage::<PerturbCameras>(&TestHost::default(), &with, &inputs).unwrap();
+        let Some(Artefact::Cameras(cameras)) = made.into_inner().remove("cameras") else { panic!("no cameras") };
+        assert_eq!(cameras, pair(), "{with}");
+    }
 }
 
 #[test]

@@ -220,6 +220,38 @@ fn sigmas_scale_one_unit_field() {
 }
 
 #[test]
+fn terms_of_the_matcher_stand_without_the_papers_noise() {
+    let scene = scene(convergent(small_sensor()), &wavy(), 1);
+    for matcher in [json!({}), json!({"pixel_locking_px": 0.1}), json!({"texture": {}}), json!({"acquisition": {}})] {
+        let mut with = silent("first");
+        with["matcher"] = matcher;
+        assert!(matched(&scene, &with).z.iter().any(|z| z.is_finite()));
+    }
+}
+
+#[test]
+fn a_distribution_that_correlated_noise_does_not_have_is_refused() {
+    let faults = |with: Value| MatchPair::check(&rockface_core::params::ParamType::decode(&with).unwrap());
+    let with = |length: f64| json!({"local_distribution": "laplace", "matcher": {"local_length_px": length}});
+    assert!(faults(with(0.0)).is_empty());
+    assert_eq!(faults(with(4.0))[0].path, ["local_distribution"]);
+}
+
+#[test]
+fn channels_and_log_give_the_depth_across_the_rectified_plane() {
+    let scene = scene(convergent(small_sensor()), &wavy(), 1);
+    let mut with = silent("first");
+    (with["channels"], with["sampling"]) = (true.into(), "rectified".into());
+    let host = TestHost::default();
+    let map = run(&scene, &host, &with).unwrap();
+    let [focal, baseline, at_infinity] =
+        ["rectified_focal", "baseline", "disparity_at_infinity"].map(|name| host.metric(name).unwrap());
+    let both = map.z.iter().zip(&map.channels["disparity"]).filter(|(z, _)| z.is_finite());
+    let off = |(z, disparity): (&f32, &f32)| f64::from(*z) - focal * baseline / (f64::from(*disparity) - at_infinity);
+    assert!(both.map(off).all(|off| off.abs() < 1e-4));
+}
+
+#[test]
 fn what_the_other_image_cannot_see_is_not_matched() {
     let mut mesh = height_mesh(1, [-30.0, 30.0, -30.0, 30.0], |_, _| 0.0);
     let ball = height_mesh(40, [-1.0, 1.0, -1.0, 1.0], |x, y| 4.0 + (2.2 - x * x - y * y).sqrt());

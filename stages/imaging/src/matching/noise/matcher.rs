@@ -248,11 +248,6 @@ impl MatcherTerms {
         }
     }
 
-    /// Whether the terms draw random numbers without the paper's noise too.
-    pub fn draws(&self) -> bool {
-        self.relief.is_some() || self.blunders.is_some() || self.holes.is_some()
-    }
-
     /// The depth map with the effects of the window; `None` without this term.
     pub fn windowed(&self, depth: &Depth) -> Option<Depth> {
         let Window { smoothing_px, fattening_px, step_m } = self.window.clone()?;

@@ -1,6 +1,6 @@
 //! Tests of the reduced normal equations and their inverse: against the whole normal matrix, and against the modes of a free block.
 
-use nalgebra::{DMatrix, Vector3};
+use nalgebra::{DMatrix, Matrix3, Vector3};
 
 use super::datum::similarity_modes;
 use super::inverse::{Datum, invert};
@@ -66,8 +66,11 @@ fn dense(cameras: &Cameras, unknowns: &Unknowns, points: &[ObjectPoint], priors:
     }
     for image in 0..3 {
         for (axis, sigma) in priors.position_sigma_m.iter().flatten().enumerate() {
-            let i = unknowns.of_image(image) + 3 + axis;
-            normal[(i, i)] += 1.0 / (sigma * sigma);
+            // An observation of the centre along one axis.
+            let along = priors.cameras_from_measured.unwrap_or_else(Matrix3::identity).column(axis).into_owned();
+            let mut a = DMatrix::zeros(1, normal.ncols());
+            (0..3).for_each(|k| a[(0, unknowns.of_image(image) + 3 + k)] = along[k]);
+            normal += a.transpose() * &a / (sigma * sigma);
         }
     }
     for (k, free) in unknowns.free.iter().enumerate() {
@@ -80,9 +83,13 @@ fn dense(cameras: &Cameras, unknowns: &Unknowns, points: &[ObjectPoint], priors:
 #[test]
 fn elimination_gives_what_the_whole_matrix_gives() {
     let (cameras, points) = small_block();
-    for (free, position_sigma_m) in [(Vec::new(), None), (lens(), None), (lens(), Some([0.02, 0.03, 0.04]))] {
+    let turn = Some(*nalgebra::Rotation3::from_euler_angles(0.4, -0.7, 1.3).matrix());
+    let gnss = Some([0.02, 0.03, 0.04]);
+    for (free, position_sigma_m, cameras_from_measured) in
+        [(Vec::new(), None, None), (lens(), None, None), (lens(), gnss, None), (lens(), gnss, turn)]
+    {
         let unknowns = Unknowns::new(&cameras, free);
-        let priors = Priors { position_sigma_m };
+        let priors = Priors { position_sigma_m, cameras_from_measured };
         let normals = reduced(&cameras, &unknowns, &points, &priors).unwrap();
         let found = invert(&normals, &cameras, &unknowns, Datum::Priors).unwrap().covariance;
         let expected = dense(&cameras, &unknowns, &points, &priors);

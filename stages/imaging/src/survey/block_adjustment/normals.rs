@@ -29,6 +29,8 @@ pub struct ObjectPoint {
 pub struct Priors {
     /// Standard deviations of X, Y, Z of each projection centre (GNSS), metres.
     pub position_sigma_m: Option<[f64; 3]>,
+    /// Rotation to the frame of the cameras from the axes these are measured along; `None`: the same axes.
+    pub cameras_from_measured: Option<Matrix3<f64>>,
 }
 
 /// Normal equations of the orientation parameters alone, object points eliminated.
@@ -61,24 +63,36 @@ pub fn reduced(
         rays.add(&mut matrix, &mut diagonal);
         observations += 2 * point.images.len();
     }
-    for (at, weight) in prior_weights(cameras, unknowns, priors) {
-        matrix[at * n + at] += weight;
-        diagonal[at] += weight;
+    for (row, column, weight) in prior_weights(cameras, unknowns, priors) {
+        matrix[row * n + column] += weight;
+        if row == column {
+            diagonal[row] += weight;
+        }
     }
     let matrix = DMatrix::from_fn(n, n, |i, j| if i >= j { matrix[i * n + j] } else { matrix[j * n + i] });
     Ok(Normals { matrix, diagonal, observations })
 }
 
-fn prior_weights(cameras: &Cameras, unknowns: &Unknowns, priors: &Priors) -> Vec<(usize, f64)> {
+/// Row, column and weight of what is known beforehand, on and below the diagonal.
+fn prior_weights(cameras: &Cameras, unknowns: &Unknowns, priors: &Priors) -> Vec<(usize, usize, f64)> {
     let mut weights = Vec::new();
-    for image in 0..cameras.images.len() {
-        for (axis, sigma) in priors.position_sigma_m.iter().flatten().enumerate() {
-            weights.push((unknowns.of_image(image) + 3 + axis, 1.0 / (sigma * sigma)));
+    if let Some(sigma_m) = priors.position_sigma_m {
+        let along = sigma_m.map(|sigma| 1.0 / (sigma * sigma));
+        for first in (0..cameras.images.len()).map(|image| unknowns.of_image(image) + 3) {
+            match &priors.cameras_from_measured {
+                None => weights.extend((0..3).map(|axis| (first + axis, first + axis, along[axis]))),
+                Some(rotation) => {
+                    let weight = rotation * Matrix3::from_diagonal(&Vector3::from(along)) * rotation.transpose();
+                    let lower = (0..3).flat_map(|row| (0..=row).map(move |column| (row, column)));
+                    weights.extend(lower.map(|(row, column)| (first + row, first + column, weight[(row, column)])));
+                }
+            }
         }
     }
     for sensor in 0..cameras.sensors.len() {
         for (k, free) in unknowns.free.iter().enumerate() {
-            weights.extend(free.sigma.map(|sigma| (unknowns.of_sensor(sensor) + k, 1.0 / (sigma * sigma))));
+            let at = unknowns.of_sensor(sensor) + k;
+            weights.extend(free.sigma.map(|sigma| (at, at, 1.0 / (sigma * sigma))));
         }
     }
     weights

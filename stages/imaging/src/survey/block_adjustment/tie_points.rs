@@ -6,6 +6,7 @@ use rand::{Rng, RngExt};
 use rayon::prelude::*;
 
 use super::normals::ObjectPoint;
+use crate::camera::back_side::shows_back;
 use crate::camera::model::Camera;
 use crate::depth::depth_buffer::{DepthBuffer, Drawing, draw};
 use rockface_core::artefact::{Cameras, Mesh};
@@ -19,7 +20,8 @@ const TRIES: usize = 40;
 
 /// Visibility of the points of a face in the images of a block.
 pub struct Visibility {
-    views: Vec<(Camera, DepthBuffer, f64)>,
+    /// None of an image that shows only the back of the face.
+    views: Vec<Option<(Camera, DepthBuffer, f64)>>,
 }
 
 impl Visibility {
@@ -27,11 +29,14 @@ impl Visibility {
     pub fn new(cameras: &Cameras, mesh: &Mesh) -> Self {
         let view = |image| {
             let camera = Camera::new(cameras.sensor(image), image);
+            if shows_back(&camera, mesh) {
+                return None;
+            }
             let side = camera.sensor().width_px.max(camera.sensor().height_px);
             let downscale = side.div_ceil(BUFFER_SIDE).max(1);
             let buffer =
                 draw(mesh, &camera, &Drawing { downscale, safe_border_px: 0.0, front_only: true, window_m: None });
-            (camera, buffer, f64::from(downscale))
+            Some((camera, buffer, f64::from(downscale)))
         };
         Self { views: cameras.images.par_iter().map(view).collect() }
     }
@@ -41,8 +46,13 @@ impl Visibility {
         (0..self.views.len()).filter(|image| self.sees(*image, point)).collect()
     }
 
+    /// Whether an image shows only the back of the face.
+    pub fn is_behind(&self, image: usize) -> bool {
+        self.views[image].is_none()
+    }
+
     fn sees(&self, image: usize, point: &Vector3<f64>) -> bool {
-        let (camera, buffer, scale) = &self.views[image];
+        let Some((camera, buffer, scale)) = &self.views[image] else { return false };
         let local = camera.to_camera(point);
         let Some(pixel) = camera.project_from_camera(&local).filter(|pixel| camera.inside(*pixel, 0.0)) else {
             return false;
@@ -174,6 +184,17 @@ mod tests {
         let control = control_points(&points, &visibility, 4, 0.3, 0.005);
         let corners = control.iter().filter(|p| p.position_m.x.abs() > 3.0 && p.position_m.y.abs() > 3.0).count();
         assert!(corners >= 3, "{corners} of 4 stand in the corners");
+    }
+
+    #[test]
+    fn the_back_of_a_face_is_not_seen() {
+        // A rough face whose triangles are turned: a few of its steep ones face the cameras all the same.
+        let mut mesh = height_mesh(120, [-10.0, 10.0, -5.0, 5.0], |x, y| 0.1 * (9.0 * x + 7.0 * y).sin());
+        let point = Vector3::new(0.0, 0.0, 0.0);
+        assert_eq!(Visibility::new(&block(), &mesh).images(&point), [0, 1]);
+        mesh.triangles.iter_mut().for_each(|triangle| triangle.swap(0, 1));
+        let turned = Visibility::new(&block(), &mesh);
+        assert!(turned.images(&point).is_empty() && turned.is_behind(0));
     }
 
     #[test]

@@ -4,7 +4,7 @@ use super::*;
 use crate::camera::covariance_sampling::{JointRoot, block_only};
 use crate::camera::orientation::quaternion;
 use nalgebra::Matrix3;
-use rockface_core::artefact::{Artefact, Frame, Image, Sensor};
+use rockface_core::artefact::{Artefact, Georeference, Image, Sensor, Transform};
 use rockface_core::params::ParamType;
 use rockface_core::testing::{TestHost, height_mesh, image_at, run_stage, small_sensor};
 use serde_json::{Value, json};
@@ -73,6 +73,27 @@ fn an_estimated_lens_and_gnss_positions_work_too() {
     let error = estimate(&host, &cameras, &mesh, &json!({"control_points": 0})).unwrap_err();
     assert!(error.message.contains("7 free directions: 7 of the block as a whole"), "{error}");
     assert!(error.hint.unwrap().contains("control_points"));
+}
+
+#[test]
+fn positions_are_measured_along_the_axes_of_the_world() {
+    let (mut cameras, mut mesh) = station();
+    // X, Y, Z of the wall are Y, Z, X of the world.
+    let rotation = nalgebra::Matrix3::new(0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0);
+    let way = Transform::new("world", "wall", &rotation, Vector3::zeros(), Vector3::zeros());
+    let stands = Frame::Wall.at(Some(Georeference { crs: None, wall_from_world: Some(way) }));
+    let run = |cameras: &Cameras, mesh: &Mesh, sigma: [f64; 3], axes: Value| {
+        let with = json!({"control_sigma_m": 0.5, "position_sigma_m": sigma, "position_axes": axes});
+        let host = TestHost::default();
+        (estimate(&host, cameras, mesh, &with), host.warnings().len())
+    };
+    let error = run(&cameras, &mesh, [0.01, 0.02, 0.05], json!("world")).0.unwrap_err();
+    assert!(error.message.contains("how the wall stands"), "{error}");
+    (cameras.frame, mesh.frame) = (stands, stands);
+    let (along_wall, warnings) = run(&cameras, &mesh, [0.02, 0.05, 0.01], Value::Null);
+    assert_eq!(warnings, 1);
+    let (along_world, warnings) = run(&cameras, &mesh, [0.01, 0.02, 0.05], json!("world"));
+    assert_eq!((along_wall.unwrap().matrix, warnings), (along_world.unwrap().matrix, 0));
 }
 
 #[test]

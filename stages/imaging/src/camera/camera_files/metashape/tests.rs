@@ -105,8 +105,17 @@ fn what_does_not_fit_is_refused_by_name() {
     says("<scale>2.5", "<scale>0", "a scale of 0");
     says("4 1 2 1 9 3 2 3 16", "4 1 2 1", "3 parameters need a square");
     says("<params>f p1 p2", "<params>f p4 p2", "the parameter `p4`");
+    says("<sensor id=\"5\"", "<sensor id=\"4\"", "two sensors have the id 4");
+    says("60\" height=\"40\"/>\n", "50\" height=\"40\"/>\n", "is another than that of its <sensor>");
     says("</chunk>", "</chunk><chunk label=\"Chunk 2\"/>", "2 chunks (Chunk 1, Chunk 2)");
     says("</document>", "", "not valid XML");
+}
+
+#[test]
+fn images_that_follow_another_of_their_rig_are_named_as_such() {
+    let rig = document().replace("<camera id=\"1\"", "<camera id=\"1\" master_id=\"0\"");
+    let warnings = read(&rig, Frame::World).unwrap().warnings;
+    assert!(warnings[1].contains("1 of these are images of a rig"), "{warnings:?}");
 }
 
 #[test]

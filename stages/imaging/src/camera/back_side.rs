@@ -1,0 +1,28 @@
+//! Which side of a surface an image shows.
+
+use nalgebra::Vector3;
+
+use crate::camera::model::Camera;
+use rockface_core::artefact::Mesh;
+
+/// Triangles sampled to find the side of a surface that an image shows.
+const SIDE_SAMPLES: usize = 20_000;
+/// Least share of the triangles in an image that face it where it shows the front: of a rough face seen from behind some do,
+/// of a closed body about half.
+const FRONT_SHARE: f64 = 0.05;
+
+/// Whether an image shows a surface from behind only: hardly any of the triangles in it face it.
+pub fn shows_back(camera: &Camera, mesh: &Mesh) -> bool {
+    let stride = mesh.triangles.len().div_ceil(SIDE_SAMPLES).max(1);
+    let (mut seen, mut facing) = (0.0, 0.0);
+    for triangle in mesh.triangles.iter().step_by(stride) {
+        let [a, b, c] = triangle.map(|vertex| Vector3::from(mesh.vertices[vertex as usize]));
+        let middle = (a + b + c) / 3.0;
+        let pixel = camera.project_from_camera(&camera.to_camera(&middle));
+        if pixel.is_some_and(|pixel| camera.inside(pixel, 0.0)) {
+            seen += 1.0;
+            facing += f64::from(u8::from((b - a).cross(&(c - a)).dot(&(camera.centre() - middle)) > 0.0));
+        }
+    }
+    facing < FRONT_SHARE * seen
+}
