@@ -310,7 +310,7 @@ class Run:
         for, and a step that depends on further axes is left out.
 
         Args:
-            axes: the axes; by default those of `--sweep`, else those of the one step that depends on most.
+            axes: the axes; by default those of `--sweep` if steps with numbers depend on no others, else those of the one step that depends on most.
 
         Raises:
             RockfaceError: no axes are named, and it does not follow from the run which are meant.
@@ -365,7 +365,7 @@ class Run:
         # The last key of what was swept, or `swept_` before it where a parameter has that name.
         last = [text.split("=")[0].strip().rpartition(".")[2] for text in self.manifest["overrides"].get("sweep", [])]
         swept = tuple(dict.fromkeys(f"swept_{name}" if f"swept_{name}" in known else name for name in last))
-        if swept and set(swept) <= known:
+        if swept and set(swept) <= known and any(step.metrics and set(step.point) <= set(swept) for step in self.steps):
             return swept
         sets = list(dict.fromkeys(tuple(step.point) for step in self.steps if step.metrics))
         largest = [one for one in sets if not any(set(one) < set(other) for other in sets)]

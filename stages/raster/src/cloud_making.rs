@@ -52,7 +52,7 @@ fn taken(shape: Shape, step: usize) -> Vec<usize> {
 
 fn colours(shape: Shape<'_>) -> &[[u8; 3]] {
     match shape {
-        Shape::Mesh(mesh) => &mesh.colours,
+        Shape::Mesh(mesh) | Shape::Part(mesh, _) => &mesh.colours,
         Shape::Cloud(cloud) => &cloud.colours,
         Shape::Surface(_) => &[],
     }

@@ -1,7 +1,7 @@
 //! `export-cloud`: the points of a surface, mesh, elevation raster or cloud for other programs, in any frame, as PLY and LAZ.
 
 use crate::cloud_making::cloud_of;
-use crate::shape::Shape;
+use crate::shape::{self, Shape};
 use crate::{frame_change, raster_surface};
 use rockface_core::artefact::{Artefact, Kind, Raster, Transform};
 use rockface_core::params::Range;
@@ -21,7 +21,7 @@ pub struct ExportCloud;
 impl Stage for ExportCloud {
     type Params = ExportCloudParams;
     const NAME: &'static str = "export-cloud";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: Page = Page::new(include_str!("export_cloud.md"));
     const INPUTS: &'static [Port] = &[
         Port::one(
@@ -56,6 +56,8 @@ impl Stage for ExportCloud {
         let shape = made.as_ref().map(Shape::Surface).or_else(|| Shape::of(artefact));
         let shape =
             shape.ok_or_else(|| StageError::new("port `points` needs a surface, a mesh, a raster or a cloud"))?;
+        let vertices = shape::surface_vertices(artefact);
+        let shape = shape.on_surface(vertices.as_deref());
         let labels = inputs.optional::<Raster>("labels")?;
         if let Some(labels) = labels.filter(|labels| labels.frame != shape.frame()) {
             fail!("`labels` are in the {} frame, the points in the {} frame", labels.frame, shape.frame());
@@ -75,7 +77,7 @@ impl Stage for ExportCloud {
 #[allow(clippy::float_cmp)] // to the bit
 mod tests {
     use super::*;
-    use rockface_core::artefact::{Cloud, Frame, Grid};
+    use rockface_core::artefact::{Cloud, Frame, Grid, Mesh};
     use rockface_core::testing::{TestHost, run_stage};
     use serde_json::json;
 
@@ -100,6 +102,14 @@ mod tests {
         assert_eq!(cloud.numbers["id"], [0, 1, 3, 4, 5]);
         assert_eq!(cloud.points[2], [10.25, 19.25, 1.0]);
         assert!(cloud.normals.iter().all(|normal| *normal == [0.0, 0.0, 1.0]));
+    }
+
+    #[test]
+    fn vertices_of_rock_that_fell_are_no_points_but_those_of_a_mesh_without_triangles_are() {
+        let vertices = vec![[0.0; 3], [1.0, 0.0, 0.0], [0.3, 0.3, 5.0], [0.0, 1.0, 0.0]];
+        let mesh = |triangles| Mesh { frame: Frame::Wall, vertices: vertices.clone(), triangles, colours: Vec::new() };
+        assert_eq!(export(&[("points", mesh(vec![[0, 1, 3]]).into())]).unwrap().numbers["id"], [0, 1, 3]);
+        assert_eq!(export(&[("points", mesh(Vec::new()).into())]).unwrap().points, vertices);
     }
 
     #[test]

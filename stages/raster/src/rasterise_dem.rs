@@ -2,7 +2,7 @@
 
 use serde_json::Value;
 
-use crate::shape::{Moved, Shape};
+use crate::shape::{self, Moved, Shape};
 use crate::{frame_change, rasterise, rasterise_points, window};
 use rockface_core::artefact::{Artefact, Frame, Grid, Kind, Raster, Transform};
 use rockface_core::params::{Fault, Range};
@@ -60,7 +60,7 @@ pub struct RasteriseDem;
 impl Stage for RasteriseDem {
     type Params = RasteriseDemParams;
     const NAME: &'static str = "rasterise-dem";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: Page = Page::new(include_str!("rasterise_dem.md"));
     const INPUTS: &'static [Port] = &[
         Port::one(
@@ -106,8 +106,11 @@ impl Stage for RasteriseDem {
     }
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
-        let shape = Shape::of(inputs.artefact("surface")?)
-            .ok_or_else(|| StageError::new("port `surface` needs a surface, a mesh or a cloud"))?;
+        let artefact = inputs.artefact("surface")?;
+        let shape =
+            Shape::of(artefact).ok_or_else(|| StageError::new("port `surface` needs a surface, a mesh or a cloud"))?;
+        let vertices = shape::surface_vertices(artefact);
+        let shape = shape.on_surface(vertices.as_deref());
         let change = frame_change::change(shape.frame(), inputs.optional::<Transform>("transform")?)?;
         let moved = change.moved;
         if matches!(shape, Shape::Cloud(_)) {
@@ -317,6 +320,32 @@ mod tests {
                 &[("surface", cloud.clone().into())],
             );
             assert!(made.err().unwrap().to_string().contains("a cloud has none"));
+        }
+    }
+
+    #[test]
+    fn vertices_of_rock_that_fell_are_no_points() {
+        // One vertex of the rock that went, 9 m over the middle of the face, and far aside.
+        for beyond in [[1.0, 0.5, 9.0], [7.0, 0.5, 9.0]] {
+            let mut fallen = face();
+            fallen.vertices.push(beyond);
+            for method in ["mean", "median", "nearest", "tin"] {
+                let with = json!({"cell_m": 2.5, "method": method, "minimum_points": 1, "coverage": true});
+                let of = |mesh: Mesh| {
+                    let inputs = [("surface", mesh.into())];
+                    let made = rockface_core::testing::run_stage::<RasteriseDem>(&TestHost::default(), &with, &inputs);
+                    let made = made.unwrap().into_inner();
+                    let [Artefact::Raster(values), Artefact::Raster(counts)] = [&made["raster"], &made["coverage"]]
+                    else {
+                        panic!("no rasters")
+                    };
+                    (
+                        values.grid,
+                        [values, counts].map(|r| r.bands[0].values.iter().map(|z| z.to_bits()).collect::<Vec<_>>()),
+                    )
+                };
+                assert!(of(fallen.clone()) == of(face()), "{method}");
+            }
         }
     }
 

@@ -12,6 +12,8 @@ const STRIP_TRIANGLES: usize = 1024;
 pub enum Shape<'a> {
     /// A mesh, whose triangles are listed.
     Mesh(&'a Mesh),
+    /// A mesh of which some vertices are no part of the surface: their places are empty. [`surface_vertices`] says which are part of it.
+    Part(&'a Mesh, &'a [bool]),
     /// An organised grid of points.
     Surface(&'a Surface),
     /// Points without triangles.
@@ -29,19 +31,28 @@ impl<'a> Shape<'a> {
         }
     }
 
+    /// The same with the places of those vertices empty that [`surface_vertices`] does not count, for those who take vertices as points.
+    #[must_use]
+    pub fn on_surface(self, vertices: Option<&'a [bool]>) -> Self {
+        match (self, vertices) {
+            (Self::Mesh(mesh), Some(vertices)) => Self::Part(mesh, vertices),
+            _ => self,
+        }
+    }
+
     /// The frame of its points.
     pub fn frame(self) -> Frame {
         match self {
-            Self::Mesh(mesh) => mesh.frame,
+            Self::Mesh(mesh) | Self::Part(mesh, _) => mesh.frame,
             Self::Surface(surface) => surface.frame,
             Self::Cloud(cloud) => cloud.frame,
         }
     }
 
-    /// Number of places for points; a place of a surface may be empty.
+    /// Number of places for points; a place of a surface or of a part of a mesh may be empty.
     pub fn places(self) -> usize {
         match self {
-            Self::Mesh(mesh) => mesh.vertices.len(),
+            Self::Mesh(mesh) | Self::Part(mesh, _) => mesh.vertices.len(),
             Self::Surface(surface) => surface.points.len(),
             Self::Cloud(cloud) => cloud.points.len(),
         }
@@ -52,6 +63,12 @@ impl<'a> Shape<'a> {
     pub fn point(self, place: usize, transform: Option<&Moved>) -> [f64; 3] {
         let point = match self {
             Self::Mesh(mesh) => mesh.vertices[place],
+            Self::Part(mesh, used) => {
+                if !used[place] {
+                    return [f64::NAN; 3];
+                }
+                mesh.vertices[place]
+            }
             Self::Cloud(cloud) => cloud.points[place],
             Self::Surface(surface) => {
                 let (p, o) = (surface.points[place], surface.origin_m);
@@ -64,7 +81,7 @@ impl<'a> Shape<'a> {
     /// Number of strips the triangles come in.
     pub fn strips(self) -> usize {
         match self {
-            Self::Mesh(mesh) => mesh.triangles.len().div_ceil(STRIP_TRIANGLES),
+            Self::Mesh(mesh) | Self::Part(mesh, _) => mesh.triangles.len().div_ceil(STRIP_TRIANGLES),
             Self::Surface(surface) => surface.height.saturating_sub(1),
             Self::Cloud(_) => 0,
         }
@@ -74,7 +91,7 @@ impl<'a> Shape<'a> {
     #[inline]
     pub fn for_each_triangle(self, strip: usize, mut visit: impl FnMut([usize; 3])) {
         match self {
-            Self::Mesh(mesh) => {
+            Self::Mesh(mesh) | Self::Part(mesh, _) => {
                 let end = mesh.triangles.len().min((strip + 1) * STRIP_TRIANGLES);
                 for triangle in &mesh.triangles[strip * STRIP_TRIANGLES..end] {
                     visit(triangle.map(|index| index as usize));
@@ -88,6 +105,11 @@ impl<'a> Shape<'a> {
             Self::Cloud(_) => {}
         }
     }
+}
+
+/// Which vertices of an artefact are part of its surface; `None` where all are, and where it is no mesh. Hand it to [`Shape::on_surface`].
+pub fn surface_vertices(artefact: &Artefact) -> Option<Vec<bool>> {
+    if let Artefact::Mesh(mesh) = artefact { mesh.surface_vertices() } else { None }
 }
 
 /// A transform made ready for millions of points.

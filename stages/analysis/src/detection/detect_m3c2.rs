@@ -4,6 +4,7 @@ use nalgebra::Vector3;
 
 use crate::detection::change::Change;
 use crate::detection::cloud::Cloud;
+use crate::detection::core_cells::CoreCells;
 use crate::detection::facing;
 use crate::detection::found;
 use crate::detection::found::Found;
@@ -15,7 +16,7 @@ use rockface_core::artefact::{Artefact, Band, Frame, Grid, Kind, Raster, Transfo
 use rockface_core::params::{Fault, Range};
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
 use rockface_raster::rasterise;
-use rockface_raster::shape::{Moved, Shape};
+use rockface_raster::shape::{self, Moved, Shape};
 
 /// Surface under a cell is plan area over the normal's Z; below this the cell is taken as no steeper.
 const STEEPEST: f64 = 0.2;
@@ -52,7 +53,7 @@ pub struct DetectM3c2;
 impl Stage for DetectM3c2 {
     type Params = DetectM3c2Params;
     const NAME: &'static str = "detect-m3c2";
-    const VERSION: u32 = 6;
+    const VERSION: u32 = 7;
     const PAGE: Page = Page::new(include_str!("detect_m3c2.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("reference", &[Kind::Surface, Kind::Mesh, Kind::Cloud], "The earlier epoch: its points or vertices."),
@@ -73,8 +74,12 @@ impl Stage for DetectM3c2 {
     }
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
-        let [reference, comparison] = ["reference", "comparison"].map(|port| shape(inputs, port));
-        let (reference, comparison) = (reference?, comparison?);
+        let (before, after) = (inputs.artefact("reference")?, inputs.artefact("comparison")?);
+        let vertices = [before, after].map(shape::surface_vertices);
+        let (reference, comparison) = (
+            points("reference", before, vertices[0].as_deref())?,
+            points("comparison", after, vertices[1].as_deref())?,
+        );
         let frame = reference.frame();
         if frame != comparison.frame() {
             fail!("the reference is in the {frame} frame, the comparison in the {} frame", comparison.frame());
@@ -91,8 +96,10 @@ impl Stage for DetectM3c2 {
         context.check_cancelled()?;
         let cores = m3c2::cores(&clouds[0], &grid);
         let distances = m3c2::distances([&clouds[0], &clouds[1]], &cores, &scales(params));
-        let found = detect(params, &grid, &distances);
-        report(&found, &distances, params, context)?;
+        let cells = CoreCells::new(&cores, &grid, params.projection_radius_m);
+        let found = detect(params, &grid, &distances, &cells);
+        report(&found, &distances, &cells, params, context)?;
+        warn_of_gaps(&distances, &cells, params, context);
         warn_of_depth(&distances, params, &grid, context);
         warn_of_low_limit(&distances, params, context);
         let labels = found::labels(&grid, frame, &found)?;
@@ -102,9 +109,10 @@ impl Stage for DetectM3c2 {
     }
 }
 
-fn shape<'a>(inputs: &'a Inputs, port: &str) -> Result<Shape<'a>, StageError> {
-    let artefact: &Artefact = inputs.artefact(port)?;
-    Shape::of(artefact).ok_or_else(|| StageError::new(format!("port `{port}` needs a surface, a mesh or a cloud")))
+/// The points of an epoch; of a mesh, those vertices that are on its surface.
+fn points<'a>(port: &str, artefact: &'a Artefact, vertices: Option<&'a [bool]>) -> Result<Shape<'a>, StageError> {
+    let shape = Shape::of(artefact).map(|shape| shape.on_surface(vertices));
+    shape.ok_or_else(|| StageError::new(format!("port `{port}` needs a surface, a mesh or a cloud")))
 }
 
 fn grid(params: &DetectM3c2Params, reference: Shape, inputs: &Inputs) -> Result<Grid, StageError> {
@@ -132,46 +140,68 @@ fn scales(params: &DetectM3c2Params) -> Scales {
     }
 }
 
-fn detect(params: &DetectM3c2Params, grid: &Grid, distances: &[Option<Distance>]) -> Vec<Found> {
+fn detect(params: &DetectM3c2Params, grid: &Grid, distances: &[Option<Distance>], cells: &CoreCells) -> Vec<Found> {
     let sign = params.change.sign();
     let limit = |found: &Distance| found.limit_m.max(params.min_lod_m);
     let significant = |found: &Distance| sign * found.distance_m > limit(found);
-    let mask: Vec<bool> = distances.iter().map(|found| found.as_ref().is_some_and(significant)).collect();
+    let of_cell = |cell: usize| distances[cells.owner(cell)?].as_ref();
+    let mask: Vec<bool> = (0..distances.len()).map(|cell| of_cell(cell).is_some_and(significant)).collect();
     let groups = clusters::groups(&mask, grid.columns);
-    let large = groups.into_iter().filter(|cells| cells.len() >= params.least_cores as usize);
-    large.map(|cells| cluster(grid, &cells, distances, limit)).collect()
+    let cores = |group: &[usize]| group.iter().filter(|cell| cells.is_core(**cell)).count();
+    let large = groups.into_iter().filter(|group| cores(group) >= params.least_cores as usize);
+    large.map(|group| cluster(grid, &group, distances, cells, limit)).collect()
 }
 
-fn cluster(grid: &Grid, cells: &[usize], distances: &[Option<Distance>], limit: impl Fn(&Distance) -> f64) -> Found {
+fn cluster(
+    grid: &Grid,
+    group: &[usize],
+    distances: &[Option<Distance>],
+    cells: &CoreCells,
+    limit: impl Fn(&Distance) -> f64,
+) -> Found {
     let (mut straight, mut swept, mut deviation) = (0.0, 0.0, 0.0);
     let (mut sum, mut deepest, mut score) = (0.0, 0.0f64, 0.0f64);
-    let (mut points, mut moment) = (Vec::with_capacity(8 * cells.len()), Vector3::zeros());
-    let known = cells.iter().filter_map(|cell| Some((*cell, distances[*cell].as_ref()?)));
-    for (cell, found) in known {
+    let (mut points, mut moment) = (Vec::with_capacity(8 * group.len()), Vector3::zeros());
+    let known = group.iter().filter_map(|cell| {
+        let owner = cells.owner(*cell)?;
+        Some((*cell, owner, distances[owner].as_ref()?))
+    });
+    for (cell, owner, found) in known {
         let area = grid.cell_m * grid.cell_m / found.normal[2].max(STEEPEST);
         let size = found.distance_m.abs();
         straight += area * size;
-        swept += area * size * m3c2::area_share(distances, cell, grid.columns);
-        moment += area * size * (Vector3::from(found.core) + 0.5 * found.distance_m * Vector3::from(found.normal));
+        swept += area * size * m3c2::area_share(distances, owner, cells);
+        let place = if cell == owner {
+            found.core
+        } else {
+            beside(found, grid.centre(cell / grid.columns, cell % grid.columns))
+        };
+        moment += area * size * (Vector3::from(place) + 0.5 * found.distance_m * Vector3::from(found.normal));
         deviation += area * limit(found) / NORMAL_95;
         sum += size;
         deepest = deepest.max(size);
         score = score.max(size / limit(found));
-        points.extend(raster::corners(found.core, found.normal, found.distance_m, 0.5 * grid.cell_m));
+        points.extend(raster::corners(place, found.normal, found.distance_m, 0.5 * grid.cell_m));
     }
     // Shares of single cells are uncertain, those of all together are not; of a few noisy cells they may be anything.
     let volume = swept.clamp(LEAST_SHARE * straight, m3c2::MOST_SHARE * straight);
     Found {
-        cells: cells.iter().map(|cell| (cell / grid.columns, cell % grid.columns)).collect(),
+        cells: group.iter().map(|cell| (cell / grid.columns, cell % grid.columns)).collect(),
         area_m2: None,
         volume_m3: volume,
         volume_sd_m3: deviation,
         depth_max_m: deepest,
-        depth_mean_m: sum / cells.len().max(1) as f64,
+        depth_mean_m: sum / group.len().max(1) as f64,
         score,
         centroid_m: (moment / straight).into(),
         points,
     }
+}
+
+/// The place over or under a point in plan in the plane of a core point and its normal, metres.
+fn beside(found: &Distance, (x, y): (f64, f64)) -> [f64; 3] {
+    let ([cx, cy, cz], [nx, ny, nz]) = (found.core, found.normal);
+    [x, y, cz - ((x - cx) * nx + (y - cy) * ny) / nz.max(STEEPEST)]
 }
 
 fn bands(grid: &Grid, frame: Frame, distances: &[Option<Distance>]) -> Raster {
@@ -205,6 +235,7 @@ fn bands(grid: &Grid, frame: Frame, distances: &[Option<Distance>]) -> Raster {
 fn report(
     found: &[Found],
     distances: &[Option<Distance>],
+    cells: &CoreCells,
     params: &DetectM3c2Params,
     context: &Context,
 ) -> Result<(), StageError> {
@@ -228,7 +259,9 @@ fn report(
     let median = rockface_core::numerics::quantile::median(&mut limits).unwrap_or(f64::NAN);
     let volume = found.iter().fold(0.0, |sum, found| sum + found.volume_m3);
     context.metric("cores", cores as f64, "1");
-    context.metric("measured_share", measured as f64 / cores as f64, "1");
+    let counted = || (0..distances.len()).filter_map(|cell| distances[cells.owner(cell)?].as_ref());
+    let known = counted().filter(|found| !found.limit_m.is_nan()).count();
+    context.metric("measured_share", known as f64 / (counted().count() + cells.gaps) as f64, "1");
     context.metric("lod95_median", median, "m");
     context.metric("detections", found.len() as f64, "1");
     context.metric("volume", volume, "m3");
@@ -241,10 +274,33 @@ fn report(
     Ok(())
 }
 
-/// Core points of a patch without a point of the comparison that is worth a warning, at least.
-const PATCH_CORES: usize = 30;
+/// Share of the cells that core points stand for from which on cells between them that they do not reach are more than a few.
+const MANY_GAPS: f64 = 0.1;
+/// Cells as wide as so many mean distances of points hold one each, but for a few.
+const CELL_PER_DISTANCE: f64 = 2.0;
 
-/// Says where a patch of core points has no point of the comparison within reach, as under a rockfall that is deeper than the cylinders.
+/// Says where many cells between core points hold no point and are farther from one than the cylinders reach: changes there have no volume.
+fn warn_of_gaps(distances: &[Option<Distance>], cells: &CoreCells, params: &DetectM3c2Params, context: &Context) {
+    let held = (0..distances.len()).filter(|cell| cells.is_core(*cell)).count() as f64;
+    let counted = (0..distances.len()).filter(|cell| cells.owner(*cell).is_some()).count() as f64;
+    let gaps = cells.gaps as f64;
+    if gaps > MANY_GAPS * counted {
+        let spacing_m = CELL_PER_DISTANCE * params.core_spacing_m * ((counted + gaps) / held).sqrt();
+        context.warn(format!(
+            "{:.0} % of the cells of `core_spacing_m`, {} m, between core points hold no point of the reference and are farther from one than \
+             `projection_radius_m`, {} m: no change is found in them, and volumes are too small; enlarge `core_spacing_m` to about {spacing_m:.2} m",
+            100.0 * gaps / (counted + gaps),
+            params.core_spacing_m,
+            params.projection_radius_m
+        ));
+    }
+}
+
+/// Core points of a patch without a point of the comparison that is worth a warning, at least.
+const PATCH_CORES: usize = 12;
+
+/// Says where patches of core points have no point of the comparison within reach, as under a rockfall that is deeper than the cylinders, or
+/// at an edge of the face where what is left is along the normals.
 fn warn_of_depth(distances: &[Option<Distance>], params: &DetectM3c2Params, grid: &Grid, context: &Context) {
     let is_empty = |found: &Distance| found.points[1] < 1.0 && found.points[0] >= f64::from(params.least_points);
     let mask: Vec<bool> = distances.iter().map(|found| found.as_ref().is_some_and(is_empty)).collect();
@@ -254,15 +310,22 @@ fn warn_of_depth(distances: &[Option<Distance>], params: &DetectM3c2Params, grid
         (1..grid.rows.saturating_sub(1)).contains(&row) && (1..grid.columns.saturating_sub(1)).contains(&column)
     };
     let groups = clusters::groups(&mask, grid.columns).into_iter();
-    let largest = groups.filter(|cells| cells.iter().all(is_inner)).map(|cells| cells.len()).max().unwrap_or(0);
-    if largest >= PATCH_CORES {
-        let area_m2 = largest as f64 * grid.cell_m * grid.cell_m;
-        context.warn(format!(
-            "a patch of {area_m2:.3} m2 has no point of the comparison within `depth_m`, {} m: a change there is deeper, or nothing was seen; no \
-             change is found in it",
-            params.depth_m
-        ));
+    let patches: Vec<usize> = groups
+        .filter(|cells| cells.len() >= PATCH_CORES && cells.iter().all(is_inner))
+        .map(|cells| cells.len())
+        .collect();
+    if patches.is_empty() {
+        return;
     }
+    let area_m2 = patches.iter().sum::<usize>() as f64 * grid.cell_m * grid.cell_m;
+    let which = if patches.len() == 1 { "a patch".to_owned() } else { format!("{} patches", patches.len()) };
+    let (together, have) = if patches.len() == 1 { ("", "has") } else { (" together", "have") };
+    context.warn(format!(
+        "{which} of {area_m2:.3} m2{together} {have} no point of the comparison within `depth_m`, {} m, and `projection_radius_m`, {} m, of the \
+         normals: a change there is deeper or at an edge of the face, or nothing was seen; no change is found there, so enlarge either, or look at \
+         the same change with `detect-raster`",
+        params.depth_m, params.projection_radius_m
+    ));
 }
 
 /// Noise beyond the limits counts as change.
@@ -277,103 +340,4 @@ fn warn_of_low_limit(distances: &[Option<Distance>], params: &DetectM3c2Params, 
 }
 
 #[cfg(test)]
-mod tests {
-    use serde_json::json;
-
-    use super::*;
-    use rockface_core::artefact::Inventory;
-    use rockface_core::testing::{TestHost, height_mesh, run_stage};
-
-    #[test]
-    fn a_box_shaped_niche_is_found_with_its_volume() {
-        let plane = height_mesh(100, [-1.0, 1.0, -1.0, 1.0], |_, _| 0.0);
-        let inside = |x: f64, y: f64| x.abs() < 0.3 && y.abs() < 0.2;
-        let niche = height_mesh(100, [-1.0, 1.0, -1.0, 1.0], |x, y| if inside(x, y) { -0.1 } else { 0.0 });
-        let with = json!({"projection_radius_m": 0.03, "normal_radii_m": [0.1], "core_spacing_m": 0.04});
-        let inputs = [("reference", plane.clone().into()), ("comparison", niche.clone().into())];
-        let made = run_stage::<DetectM3c2>(&TestHost::default(), &with, &inputs).unwrap().into_inner();
-        let Artefact::Inventory(found) = &made["detections"] else { panic!("no inventory") };
-        let number = |found: &Inventory, name: &str| found.numbers(name).unwrap()[0].unwrap();
-        assert_eq!(found.features.len(), 1);
-        assert!((number(found, "volume_m3") / 0.024 - 1.0).abs() < 0.1, "{}", number(found, "volume_m3"));
-        assert!((number(found, "depth_max_m") - 0.1).abs() < 1e-9 && number(found, "score") > 9.0);
-        let gain =
-            json!({"change": "gain", "projection_radius_m": 0.03, "normal_radii_m": [0.1], "core_spacing_m": 0.04});
-        let inputs = [("reference", plane.into()), ("comparison", niche.into())];
-        let made = run_stage::<DetectM3c2>(&TestHost::default(), &gain, &inputs).unwrap().into_inner();
-        let Artefact::Inventory(found) = &made["detections"] else { panic!("no inventory") };
-        assert!(found.features.is_empty());
-    }
-
-    #[test]
-    fn a_bump_on_a_slab_and_a_slanted_step_have_their_volumes() {
-        // A paraboloid of half axes 0.4 and 0.3 m falls off, down to the slab.
-        let bump = |height_m: f64, tilt: f64| {
-            height_mesh(160, [-0.8, 0.8, -0.8, 0.8], move |x, y| {
-                let beyond = (x / 0.4) * (x / 0.4) + (y / 0.3) * (y / 0.3);
-                tilt * x + height_m * (1.0 - beyond).max(0.0)
-            })
-        };
-        let volume = |before: rockface_core::artefact::Mesh, after: rockface_core::artefact::Mesh, change: &str| {
-            let with = json!({"projection_radius_m": 0.02, "normal_radii_m": [0.04], "core_spacing_m": 0.02, "registration_m": 0, "min_lod_m": 0.003,
-                "change": change});
-            let inputs = [("reference", before.into()), ("comparison", after.into())];
-            let made = run_stage::<DetectM3c2>(&TestHost::default(), &with, &inputs).unwrap().into_inner();
-            let Artefact::Inventory(found) = &made["detections"] else { panic!("no inventory") };
-            found.numbers("volume_m3").unwrap().into_iter().flatten().sum::<f64>()
-        };
-        for (height_m, tilt) in [(0.15, 0.0), (0.3, 0.0), (0.15, 0.5)] {
-            let truth = 0.5 * std::f64::consts::PI * 0.4 * 0.3 * height_m;
-            let lost = volume(bump(height_m, tilt), bump(0.0, tilt), "loss");
-            assert!((lost / truth - 1.0).abs() < 0.1, "{height_m} {tilt}: {lost} of {truth}");
-            let gained = volume(bump(0.0, tilt), bump(height_m, tilt), "gain");
-            assert!((gained / truth - 1.0).abs() < 0.1, "{height_m} {tilt}: gain of {gained} of {truth}");
-        }
-    }
-
-    #[test]
-    fn a_niche_that_is_deeper_than_the_cylinders_is_warned_of() {
-        let inside = |x: f64, y: f64| x.abs() < 0.3 && y.abs() < 0.3;
-        let plane = height_mesh(80, [-1.0, 1.0, -1.0, 1.0], |_, _| 0.0);
-        let niche = height_mesh(80, [-1.0, 1.0, -1.0, 1.0], |x, y| if inside(x, y) { -0.8 } else { 0.0 });
-        let warnings = |depth_m: f64| {
-            let host = TestHost::default();
-            let with = json!({"projection_radius_m": 0.05, "normal_radii_m": [0.1], "core_spacing_m": 0.05, "depth_m": depth_m});
-            run_stage::<DetectM3c2>(
-                &host,
-                &with,
-                &[("reference", plane.clone().into()), ("comparison", niche.clone().into())],
-            )
-            .unwrap();
-            host.warnings()
-        };
-        assert_eq!(warnings(1.0), Vec::<String>::new());
-        let told = warnings(0.4);
-        assert!(told.len() == 1 && told[0].contains("no point of the comparison within `depth_m`, 0.4 m"), "{told:?}");
-    }
-
-    #[test]
-    fn clouds_that_hardly_meet_are_warned_of() {
-        let whole = height_mesh(40, [-1.0, 1.0, -1.0, 1.0], |_, _| 0.0);
-        let warnings = |left: f64, right: f64| {
-            let part = height_mesh(40, [left, right, -1.0, 1.0], |_, _| 0.0);
-            let host = TestHost::default();
-            let with = json!({"projection_radius_m": 0.15, "normal_radii_m": [0.2], "core_spacing_m": 0.1});
-            let inputs = [("reference", whole.clone().into()), ("comparison", part.into())];
-            run_stage::<DetectM3c2>(&host, &with, &inputs).unwrap();
-            host.warnings()
-        };
-        assert_eq!(warnings(-1.0, 1.0), Vec::<String>::new());
-        let few = warnings(-1.0, -0.6);
-        assert!(few.len() == 1 && few[0].contains("core points have 5 points of both clouds"), "{few:?}");
-    }
-
-    #[test]
-    fn clouds_that_do_not_meet_are_refused_with_a_way_out() {
-        let low = height_mesh(20, [-1.0, 1.0, -1.0, 1.0], |_, _| 0.0);
-        let far = height_mesh(20, [8.0, 9.0, -1.0, 1.0], |_, _| 0.0);
-        let inputs = [("reference", low.into()), ("comparison", far.into())];
-        let error = run_stage::<DetectM3c2>(&TestHost::default(), &json!({}), &inputs).unwrap_err();
-        assert!(error.message.contains("core points") && error.hint.unwrap().contains("overlap"));
-    }
-}
+mod tests;

@@ -7,10 +7,13 @@ use rockface_core::artefact::Grid;
 use rockface_core::numerics::simd::{Work, vectorised};
 
 use super::cloud::{Cloud, Cylinder, Stack};
+use super::core_cells::CoreCells;
 use super::limit::NORMAL_95;
 
 /// The most by which an area grows on its way, in size: noise of normals and distances would give a few cells more.
 pub const MOST_SHARE: f64 = 3.0;
+/// Least sine of the angle at which the lines between neighbours cross in plan: a smaller one tells nothing of an area.
+const LEAST_SPREAD: f64 = 0.2;
 /// Core points that are one task.
 const CORES_AT_A_TIME: usize = 256;
 
@@ -146,17 +149,10 @@ impl Distance {
 ///
 /// The vector area of the cell at a share `t` of the way is the cross product of differences of neighbours' `core + t distance normal`,
 /// quadratic in `t`, so that Simpson's rule is exact.
-pub fn area_share(distances: &[Option<Distance>], cell: usize, columns: usize) -> f64 {
+pub fn area_share(distances: &[Option<Distance>], cell: usize, cells: &CoreCells) -> f64 {
     let known = |cell: usize| distances.get(cell)?.as_ref().filter(|found| !found.distance_m.is_nan());
     let Some(own) = known(cell) else { return 1.0 };
-    let (row, column) = (cell / columns, cell % columns);
-    let beside = |is_inside: bool, cell: usize| if is_inside { known(cell) } else { None };
-    let around = [
-        beside(column > 0, cell.wrapping_sub(1)),
-        beside(column + 1 < columns, cell + 1),
-        beside(row > 0, cell.wrapping_sub(columns)),
-        beside(true, cell + columns),
-    ];
+    let around = cells.around(cell).map(|beside| known(beside?));
     // With a neighbour on one side only, the place of the core point in its cell would count.
     let [Some(left), Some(right), Some(above), Some(below)] = around else { return 1.0 };
     let normal = Vector3::from(own.normal);
@@ -166,7 +162,11 @@ pub fn area_share(distances: &[Option<Distance>], cell: usize, columns: usize) -
     };
     let [start, middle, end] = [0.0, 0.5, 1.0].map(area);
     let mean = (start + 4.0 * middle + end) / 6.0;
-    if start > 0.0 { (mean / start).clamp(-MOST_SHARE, MOST_SHARE) } else { 1.0 }
+    // Scattered neighbours may all be about on one line.
+    let plan = |one: &Distance, other: &Distance| (Vector3::from(one.core) - Vector3::from(other.core)).xy();
+    let (across, along) = (plan(right, left), plan(above, below));
+    let has_area = across.perp(&along).abs() > LEAST_SPREAD * across.norm() * along.norm();
+    if start > 0.0 && has_area { (mean / start).clamp(-MOST_SHARE, MOST_SHARE) } else { 1.0 }
 }
 
 #[cfg(test)]

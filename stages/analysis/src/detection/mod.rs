@@ -9,6 +9,7 @@ pub mod change;
 pub mod cloud;
 pub mod clusters;
 pub mod compared;
+mod core_cells;
 pub mod detectability;
 pub mod facing;
 pub mod found;

@@ -81,7 +81,7 @@ pub struct ImportMesh;
 impl Stage for ImportMesh {
     type Params = ImportMeshParams;
     const NAME: &'static str = "import-mesh";
-    const VERSION: u32 = 4;
+    const VERSION: u32 = 5;
     const PAGE: Page = Page::new(include_str!("import_mesh.md"));
     const INPUTS: &'static [Port] = &[];
     const OUTPUTS: &'static [Port] = &[Port::one("mesh", &[Kind::Mesh], "The mesh, in the frame of the file.")];

@@ -32,7 +32,7 @@ fn rounding(points: &[[f64; 3]]) -> Option<Rounding> {
     let single = largest_m as f32;
     let step_m = f64::from(single.next_up()) - f64::from(single);
     if step_m > LARGEST_STEP_M && points.iter().flatten().all(is_single) {
-        return Some(Rounding { largest_m, step_m, how: "in single precision".to_owned() });
+        return Some(Rounding { largest_m, step_m, how: "like numbers of single precision".to_owned() });
     }
     let (_, exponent) = digits(largest_m);
     let step_of = |digits: usize| format!("1e{}", exponent + 1 - digits as i32).parse().unwrap_or(0.0);
@@ -86,7 +86,10 @@ mod tests {
         assert_eq!(step(|x| format!("{x:.6e}")), Some(("with 7 digits".to_owned(), 1.0)));
         assert_eq!(step(|x| format!("{x:.5e}")), Some(("with 6 digits".to_owned(), 10.0)));
         assert_eq!(step(|x| format!("{x:.7e}")), Some(("with 8 digits".to_owned(), 0.1)));
-        assert_eq!(step(|x| format!("{}", f64::from(x as f32))), Some(("in single precision".to_owned(), 0.5)));
+        assert_eq!(
+            step(|x| format!("{}", f64::from(x as f32))),
+            Some(("like numbers of single precision".to_owned(), 0.5))
+        );
         for exact in [|x: f64| format!("{x}"), |x: f64| format!("{x:.3}"), |x: f64| format!("{x:.2}")] {
             assert_eq!(step(exact), None);
         }

@@ -36,7 +36,7 @@ pub struct ImportInventory;
 impl Stage for ImportInventory {
     type Params = ImportInventoryParams;
     const NAME: &'static str = "import-inventory";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const PAGE: Page = Page::new(include_str!("import_inventory.md"));
     const INPUTS: &'static [Port] = &[];
     const OUTPUTS: &'static [Port] = &[Port::one("inventory", &[Kind::Inventory], "The rockfalls.")];

@@ -129,7 +129,7 @@ pub struct RemoveBlocks;
 impl Stage for RemoveBlocks {
     type Params = RemoveBlocksParams;
     const NAME: &'static str = "remove-blocks";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const PAGE: Page = Page::new(include_str!("remove_blocks.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("mesh", &[Kind::Mesh], "The face before, wall frame."),

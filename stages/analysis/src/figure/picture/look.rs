@@ -77,7 +77,7 @@ impl<'a> Look<'a> {
     /// Elevations of a mesh, surface or cloud of this kind over a grid; `size_m` is its width and height.
     pub fn of_shape(shape: Shape, kind: &str, values: Vec<f32>, grid: &Grid, size_m: [f64; 2]) -> Look<'static> {
         let places = match shape {
-            Shape::Mesh(mesh) => format!("{} triangles", mesh.triangles.len()),
+            Shape::Mesh(mesh) | Shape::Part(mesh, _) => format!("{} triangles", mesh.triangles.len()),
             Shape::Surface(surface) => format!("{} x {} points", surface.width, surface.height),
             Shape::Cloud(cloud) => format!("{} points", cloud.points.len()),
         };

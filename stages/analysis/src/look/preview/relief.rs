@@ -41,7 +41,7 @@ pub(super) fn elevations(shape: Shape, extent: [f64; 4]) -> Option<(Grid, Vec<f3
 
 fn is_small(shape: Shape) -> bool {
     match shape {
-        Shape::Mesh(mesh) => mesh.triangles.len() <= TRIANGLES,
+        Shape::Mesh(mesh) | Shape::Part(mesh, _) => mesh.triangles.len() <= TRIANGLES,
         Shape::Surface(surface) => 2 * surface.points.len() <= TRIANGLES,
         Shape::Cloud(_) => false,
     }

@@ -66,6 +66,15 @@ fn normals_tell_the_side_of_an_overhang_and_without_them_it_is_warned() {
         let (mesh, host) = import(text.as_bytes(), &json!({}));
         assert!(north(&mesh.unwrap()) > 3.0 && host.warnings().is_empty(), "{:?}", host.warnings());
     }
+    // LAZ with extra dimensions, as `export-cloud` writes it.
+    let points: Vec<[f64; 3]> = overhang("")
+        .lines()
+        .map(|line| line.split(' ').map(|word| word.parse().unwrap()).collect::<Vec<f64>>().try_into().unwrap())
+        .collect();
+    let mut cloud = rockface_core::artefact::Cloud::new(Frame::World, points);
+    cloud.normals = vec![[0.0, 0.98, -0.2]; 400];
+    let (mesh, host) = import(&rockface_core::format::cloud_laz::write(&cloud).unwrap(), &json!({}));
+    assert!(north(&mesh.unwrap()) > 3.0 && host.warnings().is_empty(), "{:?}", host.warnings());
     // Those that cancel tell nothing.
     let text = format!("x y z nx ny nz\n{}", rows.replacen("0.98 -0.2", "-0.98 0.2", 200));
     assert!(!import(text.as_bytes(), &json!({})).1.warnings().is_empty());

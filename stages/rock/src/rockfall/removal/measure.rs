@@ -23,18 +23,29 @@ pub fn centroid(vertices: &[[f64; 3]], triangles: &[[u32; 3]]) -> [f64; 3] {
     if volume > 0.0 { (mean + moment / (4.0 * volume)).into() } else { mean.into() }
 }
 
-/// The greatest distance, along a direction, from a vertex of `deep` up to the triangles of `cover`; 0 where none lies
-/// under any.
+/// How far, as a share of the way to the centre of its triangle, a corner is moved in before the surface over or under it is looked for: the
+/// rims of a niche and of the rock face over it coincide, and rounding would decide whether a point on them is inside.
+const INWARD: f64 = 1e-6;
+
+/// The greatest distance, along a direction, between the triangles of `deep` and those of `cover` over them, metres, looked for at the corners of
+/// both; 0 where none is under any. The niche of a prism along the direction has no vertex but those under the rim of its cover.
 pub fn depth_m(vertices: &[[f64; 3]], deep: &[[u32; 3]], cover: &[[u32; 3]], frame: &Matrix3<f64>) -> f64 {
     let turned: Vec<[f64; 3]> = vertices.iter().map(|v| (frame.transpose() * Vector3::from(*v)).into()).collect();
-    let mut points: Vec<u32> = deep.iter().flatten().copied().collect();
-    points.sort_unstable();
-    points.dedup();
-    let lids = Lids::new(&turned, cover);
-    points.iter().fold(0.0, |depth: f64, v| {
-        let [x, y, z] = turned[*v as usize];
-        lids.heights(x, y).fold(depth, |depth, top| depth.max(top - z))
-    })
+    let greatest = |from: &[[u32; 3]], to: &[[u32; 3]], sign: f64| {
+        let lids = Lids::new(&turned, to);
+        let over =
+            |[x, y, z]: [f64; 3]| lids.heights(x, y).fold(0.0, |depth: f64, other| depth.max(sign * (other - z)));
+        let corners = |triangle: &[u32; 3]| inner_corners(triangle.map(|v| turned[v as usize]));
+        from.iter().flat_map(corners).map(over).fold(0.0, f64::max)
+    };
+    greatest(deep, cover, 1.0).max(greatest(cover, deep, -1.0))
+}
+
+/// The corners of a triangle, moved a little towards its centre.
+fn inner_corners(corners: [[f64; 3]; 3]) -> [[f64; 3]; 3] {
+    let [a, b, c] = corners;
+    let centre = [0, 1, 2].map(|k| (a[k] + b[k] + c[k]) / 3.0);
+    corners.map(|corner| [0, 1, 2].map(|k| corner[k] + INWARD * (centre[k] - corner[k])))
 }
 
 /// Triangles sorted into square cells over the first two coordinates, to find those above a point.
@@ -114,9 +125,36 @@ mod tests {
         let centre = centroid(&places, &triangles);
         assert!((0..3).all(|k| (centre[k] - places[0][k] - 0.25).abs() < 1e-12), "{centre:?}");
         let depth = depth_m(&places, &triangles[..1], &triangles[3..], &Matrix3::identity());
-        assert!((depth - 1.0).abs() < 1e-15);
+        assert!((depth - 1.0).abs() < 2e-6, "{depth}");
         let frame = Matrix3::from_columns(&[Vector3::y(), Vector3::z(), Vector3::x()]);
-        assert!((depth_m(&places, &triangles[2..3], &triangles[3..], &frame) - 1.0).abs() < 1e-15);
+        assert!((depth_m(&places, &triangles[2..3], &triangles[3..], &frame) - 1.0).abs() < 2e-6);
+    }
+
+    #[test]
+    fn a_prism_along_the_direction_is_as_deep_as_it_is_whichever_way_it_is_turned() {
+        // Its lid, its walls and its bottom share all their vertices with the rim of the lid, or have them right under it.
+        let corner = |i: u32| [f64::from(i & 1), f64::from(i >> 1 & 1), 0.4 * f64::from(i >> 2 & 1)];
+        let lid = [[4, 5, 7], [4, 7, 6]];
+        let niche = [
+            [0, 3, 1],
+            [0, 2, 3],
+            [0, 1, 5],
+            [0, 5, 4],
+            [2, 6, 7],
+            [2, 7, 3],
+            [0, 4, 6],
+            [0, 6, 2],
+            [1, 3, 7],
+            [1, 7, 5],
+        ];
+        for turn in 0..300 {
+            let [roll, pitch, yaw] = [0.017, 0.031, 0.053].map(|step| step * f64::from(turn));
+            let frame = nalgebra::Rotation3::from_euler_angles(roll, pitch, yaw).into_inner();
+            let places: Vec<[f64; 3]> =
+                (0..8).map(|i| (frame * Vector3::from(corner(i)) + Vector3::new(17.3, -4.1, 2.9)).into()).collect();
+            let depth = depth_m(&places, &niche, &lid, &frame);
+            assert!((depth - 0.4).abs() < 1e-5, "turn {turn}: {depth}");
+        }
     }
 
     #[test]
