@@ -13,9 +13,7 @@ const MERGE: &str = "<<";
 
 /// The fault of a second `<<` in one map: the reader would take both, though a key stands once.
 pub fn second_merge(text: &str, source: usize) -> Option<Diagnostic> {
-    if text.matches(MERGE).nth(1).is_none() {
-        return None;
-    }
+    text.matches(MERGE).nth(1)?;
     let options = serde_saphyr::options! {
         strict_booleans: true,
         non_finite_float_policy: NonFiniteFloatPolicy::PassThrough,

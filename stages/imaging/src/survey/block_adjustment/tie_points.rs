@@ -189,7 +189,8 @@ mod tests {
     #[test]
     fn the_back_of_a_face_is_not_seen() {
         // A rough face whose triangles are turned: a few of its steep ones face the cameras all the same.
-        let mut mesh = height_mesh(120, [-10.0, 10.0, -5.0, 5.0], |x, y| 0.1 * (9.0 * x + 7.0 * y).sin());
+        let rough = |x: f64, y: f64| 0.1 * rockface_core::numerics::portable_math::sin(9.0 * x + 7.0 * y);
+        let mut mesh = height_mesh(120, [-10.0, 10.0, -5.0, 5.0], rough);
         let point = Vector3::new(0.0, 0.0, 0.0);
         assert_eq!(Visibility::new(&block(), &mesh).images(&point), [0, 1]);
         mesh.triangles.iter_mut().for_each(|triangle| triangle.swap(0, 1));
