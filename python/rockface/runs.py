@@ -310,7 +310,8 @@ class Run:
         for, and a step that depends on further axes is left out.
 
         Args:
-            axes: the axes; by default those of `--sweep` if steps with numbers depend on no others, else those of the one step that depends on most.
+            axes: the axes; by default those of `--sweep` if steps with numbers depend on no others,
+                else those of the one step that depends on most.
 
         Raises:
             RockfaceError: no axes are named, and it does not follow from the run which are meant.

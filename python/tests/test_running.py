@@ -336,7 +336,9 @@ def test_a_sweep_of_an_axis_that_no_step_depends_on_alone_gives_the_whole_table(
     face = "{stage: synthesise-face, over: [trial], with: {width_m: 2, height_m: 2, spacing_m: 0.1}}"
     dem = "{stage: rasterise-dem, in: {surface: face.mesh}, with: {cell_m: 0.1, method: tin}}"
     noise = "{stage: describe-noise, with: {scales_cells: [1, 2]}, in: {raster: dem.raster}}"
-    path.write_text(f"rockface: 1\nseed: 1\naxes: {{trial: {{count: 2}}}}\nsteps:\n  face: {face}\n  dem: {dem}\n  noise: {noise}\n")
+    path.write_text(
+        f"rockface: 1\nseed: 1\naxes: {{trial: {{count: 2}}}}\nsteps:\n  face: {face}\n  dem: {dem}\n  noise: {noise}\n"
+    )
     run = rockface.run(path, sweep={"steps.dem.with.cell_m": [0.1, 0.2]}, progress=False)
     assert run.table().columns[:2] == ["trial", "cell_m"] or run.table().columns[:2] == ["cell_m", "trial"]
     assert len(run.table()) == 4
