@@ -333,7 +333,7 @@ def test_a_manifest_of_a_stranger_shows_no_file_of_mine(folder, small):
 
 def test_a_sweep_of_an_axis_that_no_step_depends_on_alone_gives_the_whole_table(tmp_path):
     path = tmp_path / "p.yaml"
-    face = "{stage: synthesise-face, over: [trial], with: {width_m: 2, height_m: 2, spacing_m: 0.1}}"
+    face = "{stage: synthesise-face, over: [trial], with: {width_m: 8, height_m: 6, spacing_m: 0.1}}"
     dem = "{stage: rasterise-dem, in: {surface: face.mesh}, with: {cell_m: 0.1, method: tin}}"
     noise = "{stage: describe-noise, with: {scales_cells: [1, 2]}, in: {raster: dem.raster}}"
     path.write_text(
