@@ -224,6 +224,8 @@ pub fn range(values: impl Iterator<Item = f64>) -> Value {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rockface_core::artefact::Sensor;
+    use rockface_core::testing::{image_at, small_sensor};
 
     #[test]
     fn ranges_leave_out_what_is_no_number() {
@@ -249,24 +251,8 @@ mod tests {
 
     #[test]
     fn images_of_cameras_are_told_by_name_sensor_and_place() {
-        let sensor = rockface_core::artefact::Sensor {
-            name: "s".into(),
-            width_px: 4,
-            height_px: 3,
-            f: 4.0,
-            cx: 1.5,
-            cy: 1.0,
-            b1: 0.0,
-            b2: 0.0,
-            k: [0.0; 4],
-            p: [0.0; 2],
-        };
-        let image = |name: &str| Image {
-            name: name.into(),
-            sensor: 0,
-            camera_from_object: [1.0, 0.0, 0.0, 0.0],
-            centre_m: [1.0, 2.0, 3.0],
-        };
+        let sensor = Sensor { name: "s".into(), ..small_sensor() };
+        let image = |name: &str| image_at(name, [1.0, 2.0, 3.0], [0.0; 3]);
         let cameras = Cameras { frame: Frame::Wall, sensors: vec![sensor], images: vec![image("a"), image("b")] };
         let facts: Map<String, Value> = of_artefact(&Artefact::Cameras(cameras)).into_iter().collect();
         let images = facts["images"].as_array().unwrap();
