@@ -5,6 +5,7 @@
 
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
+use super::twice;
 use rockface_core::artefact::{Image, Sensor};
 use rockface_core::{StageError, fail};
 
@@ -134,10 +135,8 @@ pub fn of_images(cameras: Vec<Numbered>, poses: &[Pose]) -> Result<Vec<(u64, Sen
 }
 
 fn check_once(what: &str, numbers: impl Iterator<Item = u64>) -> Result<(), StageError> {
-    let mut sorted: Vec<u64> = numbers.collect();
-    sorted.sort_unstable();
-    match sorted.windows(2).find(|pair| pair[0] == pair[1]) {
-        Some(pair) => Err(StageError::new(format!("{what} {} is there twice", pair[0]))
+    match twice(numbers.collect()) {
+        Some(number) => Err(StageError::new(format!("{what} {number} is there twice"))
             .hint("two models in one file? merge them in COLMAP (model_merger), or import one of them")),
         None => Ok(()),
     }

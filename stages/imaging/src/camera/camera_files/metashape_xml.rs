@@ -3,6 +3,7 @@
 use nalgebra::{Matrix3, Vector3};
 use roxmltree::{Document, Node};
 
+use super::twice;
 use rockface_core::{StageError, fail};
 
 /// One chunk of a file.
@@ -98,12 +99,7 @@ pub fn read(text: &str) -> Result<Chunk, StageError> {
 }
 
 fn check_once<'a>(what: &str, ids: impl Iterator<Item = &'a str>) -> Result<(), StageError> {
-    let mut sorted: Vec<&str> = ids.collect();
-    sorted.sort_unstable();
-    match sorted.windows(2).find(|pair| pair[0] == pair[1]) {
-        Some(pair) => Err(StageError::new(format!("two {what}s have the id {}", pair[0]))),
-        None => Ok(()),
-    }
+    twice(ids.collect()).map_or(Ok(()), |id| Err(StageError::new(format!("two {what}s have the id {id}"))))
 }
 
 fn child<'a, 'i>(node: Node<'a, 'i>, name: &'static str) -> Option<Node<'a, 'i>> {

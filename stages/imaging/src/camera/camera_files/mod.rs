@@ -89,16 +89,21 @@ pub fn validated(mut cameras: Cameras) -> Result<Cameras, StageError> {
 }
 
 fn check_names<'a>(what: &str, names: impl Iterator<Item = &'a str>) -> Result<(), StageError> {
-    let mut sorted: Vec<&str> = names.collect();
-    sorted.sort_unstable();
-    if sorted.iter().any(|name| name.is_empty()) {
+    let names: Vec<&str> = names.collect();
+    if names.iter().any(|name| name.is_empty()) {
         fail!("an {what} has no name");
     }
-    match sorted.windows(2).find(|pair| pair[0] == pair[1]) {
-        Some(pair) => Err(StageError::new(format!("two {what}s are called `{}`", pair[0]))
+    match twice(names) {
+        Some(name) => Err(StageError::new(format!("two {what}s are called `{name}`"))
             .hint("covariances and pairs refer to names: give each its own")),
         None => Ok(()),
     }
+}
+
+/// The least of the names or numbers that are there more than once.
+pub fn twice<T: Ord + Copy>(mut names: Vec<T>) -> Option<T> {
+    names.sort_unstable();
+    names.windows(2).find(|pair| pair[0] == pair[1]).map(|pair| pair[0])
 }
 
 /// Checks that an interior orientation is usable.
