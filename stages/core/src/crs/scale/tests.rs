@@ -40,7 +40,7 @@ fn scale_convergence_and_place_are_those_of_proj() {
     ];
     for (code, place, lengths, convergence_deg, place_deg) in known {
         let found = scale(code, place).unwrap_or_else(|| panic!("EPSG:{code}"));
-        // PROJ takes the equirectangular projection on the sphere, and so do we: its scale is told of the ellipsoid here.
+        // PROJ takes the equirectangular projection on the sphere, and so do we: its scale is given for the ellipsoid here.
         let near = if code == 4087 { 0.008 } else { 2e-6 };
         for (found, known) in found.lengths.iter().zip(lengths) {
             assert!((found - known).abs() < near, "EPSG:{code}: {found} {known}");
