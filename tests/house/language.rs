@@ -232,6 +232,16 @@ fn faults_of_every_kind_are_told_in_one_go_and_once() {
 }
 
 #[test]
+fn an_entry_of_a_map_that_nothing_mentions_is_a_fault() {
+    let yaml = "rockface: 1\nparams: {m: {length: 1, lenght: 2}, whole: {a: 1}, none: {}}\nsteps:\n  a: {stage: emit, with: {value: '${m.length}'}}\n";
+    let (said, count) = faults_of(yaml);
+    assert!(said.contains("nothing mentions the entry `lenght` of parameter `m`"), "{said}");
+    assert!(said.contains("did you mean `length`?"), "{said}");
+    // `whole` and `none` are mentioned by nothing at all.
+    assert_eq!(count, 3, "{said}");
+}
+
+#[test]
 fn what_follows_from_a_told_fault_is_not_told_again() {
     for (yaml, only) in [
         // Sections behind a wrong key, of another format, or no maps.

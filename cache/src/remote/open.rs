@@ -139,7 +139,10 @@ impl Shared {
         let found = match self.backend.get(FORMAT_NAME, SMALL_LIMIT) {
             Ok(found) => found,
             Err(BackendError::Missing) if what_for == Use::Contents => return Err((READ, BackendError::NoStore)),
-            Err(BackendError::Missing) if self.is_read_only => return Ok(()),
+            Err(BackendError::Missing) if self.is_read_only => {
+                self.breaker.warn_once("holds no results yet: nothing is fetched from it");
+                return Ok(());
+            }
             Err(BackendError::Missing) => {
                 // Of several who begin at once, all write the same.
                 return self.backend.put(FORMAT_NAME, format!("{FORMAT}\n").as_bytes()).map_err(|fault| (WRITE, fault));

@@ -117,7 +117,12 @@ fn another_format_is_refused_and_not_written_to() {
 fn a_place_that_is_only_read_is_not_written_to() {
     let (place, open) = in_memory();
     let (_a, user) = new_store();
-    drop(user.attach(suite::remote(&open, Use::ReadOnlyLayer).unwrap()));
+    let told = Arc::new(Mutex::new(Vec::new()));
+    let heard = Arc::clone(&told);
+    let warn = Box::new(move |text: &str| heard.lock().unwrap().push(text.to_owned()));
+    drop(user.attach(Remote::open(open(), Some(user.dir()), Use::ReadOnlyLayer, warn).unwrap()));
+    // A misspelt address looks like a place without results.
+    assert!(matches!(&told.lock().unwrap()[..], [warning] if warning.contains("holds no results yet")));
     fill(&user, 0..3);
     assert_eq!(user.finish_uploads(&AtomicBool::new(false)).records, 0);
     assert!(place.objects().is_empty());

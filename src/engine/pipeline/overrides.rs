@@ -6,7 +6,7 @@ use super::node::{Data, Key, Node};
 use super::parameter::{comment_after, is_declared, is_text, text_as_written};
 use super::part::INSIDE;
 use super::reader::TOP;
-use super::substitute::{mentioned, parted};
+use super::substitute::mentioned;
 use super::sweep::{keep_reseeding, plain_path};
 use crate::diagnostic::{Diagnostic, Source, Span, nearest};
 
@@ -33,7 +33,7 @@ impl Written {
         let needed = section("params").iter().filter(|(_, node)| is_declared(node));
         let needed = needed.filter(|(_, node)| !node.get("default").is_some_and(is_null));
         Self {
-            mentions: names.into_iter().map(|(name, _)| parted(&name).0.to_owned()).collect(),
+            mentions: names.into_iter().map(|(name, _)| name).collect(),
             needed: needed.map(|(key, _)| key.name.clone()).collect(),
         }
     }

@@ -62,18 +62,47 @@ impl Resolver<'_> {
         let mut used = Vec::new();
         document.steps.iter().filter_map(|step| step.with.as_ref()).for_each(|with| mentioned(with, &mut used));
         document.params.iter().for_each(|(_, node)| mentioned(node, &mut used));
-        let used = used.iter().map(|(name, _)| parted(name).0);
-        let used: BTreeSet<&str> = used.chain(document.mentions.iter().map(|name| parted(name).0)).collect();
-        let unused = document.params.iter().filter(|(key, _)| !used.contains(key.name.as_str()));
+        let used = used.iter().map(|(name, _)| name.as_str());
+        let used: BTreeSet<&str> = used.chain(document.mentions.iter().map(String::as_str)).collect();
+        let bases: BTreeSet<&str> = used.iter().map(|name| parted(name).0).collect();
+        let unused = document.params.iter().filter(|(key, _)| !bases.contains(key.name.as_str()));
         let told = |(key, _): &(Key, Node)| {
             let name = &key.name;
             let fault = Diagnostic::at(key.span, format!("nothing mentions parameter `{name}`"));
-            if !document.written_mentions.contains(name) {
+            if !document.written_mentions.iter().any(|written| parted(written).0 == name) {
                 return Some(fault.hint(format!("write ${{{name}}} in a `with`, or remove it")));
             }
             let hint = "another option took the place of what mentions it: leave out one of the two";
             self.is_set(name).then(|| fault.hint(hint))
         };
-        unused.filter_map(told).collect()
+        let entries = document.params.iter().filter(|(key, _)| bases.contains(key.name.as_str()));
+        let entries =
+            entries.flat_map(|(key, node)| unused_entries(&key.name, node, &used, &document.written_mentions));
+        unused.filter_map(told).chain(entries).collect()
     }
+}
+
+/// Of a map that is mentioned by single entries only: those that nothing mentions, not even what values of the command line took the place of
+/// (`written`). Such an entry is most often a misspelt one.
+fn unused_entries(name: &str, node: &Node, used: &BTreeSet<&str>, written: &BTreeSet<String>) -> Vec<Diagnostic> {
+    if used.contains(name) {
+        return Vec::new();
+    }
+    let Some(entries) = node.entries() else { return Vec::new() };
+    let read: Vec<&str> = used.iter().filter_map(|used| parted(used).1.filter(|_| parted(used).0 == name)).collect();
+    if read.iter().any(|field| node.get(field).is_none()) {
+        // That is a fault of its own, and this one may follow from it.
+        return Vec::new();
+    }
+    let is_unused = |key: &str| !read.contains(&key) && !written.contains(&format!("{name}.{key}"));
+    let unused = entries.iter().filter(|(key, _)| is_unused(&key.name));
+    let told = |(key, _): &(Key, Node)| {
+        let fault =
+            Diagnostic::at(key.span, format!("nothing mentions the entry `{}` of parameter `{name}`", key.name));
+        match nearest(&key.name, &read) {
+            Some(near) => fault.hint(format!("did you mean `{near}`?")),
+            None => fault.hint(format!("write ${{{name}.{}}} in a `with`, or remove it", key.name)),
+        }
+    };
+    unused.map(told).collect()
 }

@@ -28,6 +28,7 @@ pub mod format;
 mod georeferencing;
 mod inputs;
 pub mod limits;
+pub mod names;
 mod needs;
 pub mod numerics;
 pub mod params;

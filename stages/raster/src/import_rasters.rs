@@ -3,9 +3,10 @@
 use std::io::Read;
 
 use crate::grid;
-use rockface_core::artefact::{Band, CodecError, Frame, Kind, Noun, Raster, Sample};
+use rockface_core::artefact::{CodecError, Frame, Kind, Noun, Raster, Sample};
 use rockface_core::crs::{self, CrsName, Settled, Tool, settle, wall_without_system};
 use rockface_core::format::geotiff::{self, DAMAGED, System};
+use rockface_core::names::twice;
 use rockface_core::numerics::marginal;
 use rockface_core::params::{Fault, FilesRef, Range};
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, SourceFile, Stage, StageError, choice, params};
@@ -288,10 +289,8 @@ fn append(first: &str, together: &mut Raster, name: &str, raster: Raster) -> Res
 }
 
 fn refuse_twins(raster: &Raster) -> Result<(), StageError> {
-    let mut names: Vec<&Band> = raster.bands.iter().collect();
-    names.sort_by(|a, b| a.name.cmp(&b.name));
-    match names.windows(2).find(|pair| pair[0].name == pair[1].name) {
-        Some(pair) => Err(StageError::new(format!("two bands would be called `{}`", pair[0].name))
+    match twice(raster.bands.iter().map(|band| band.name.as_str()).collect()) {
+        Some(name) => Err(StageError::new(format!("two bands would be called `{name}`"))
             .hint("files must differ in more than their extension; rename one")),
         None => Ok(()),
     }

@@ -7,6 +7,7 @@ use crate::noise::chain;
 use crate::noise::descriptors::{GROUPS, feature_names, in_group, taken};
 use crate::noise::mahalanobis::{bound, fit_labelled, leave_one_out_quantile};
 use rockface_core::artefact::{Acceptance, Cell, GroupModel, Kind, Table};
+use rockface_core::names::twice;
 use rockface_core::numerics::beta;
 use rockface_core::numerics::held_out::in_view;
 use rockface_core::numerics::quantile::quantile;
@@ -47,11 +48,8 @@ impl Stage for FitAcceptance {
     ];
 
     fn check(params: &Self::Params) -> Vec<Fault> {
-        let mut sorted = params.features.clone();
-        sorted.sort();
-        let twin =
-            sorted.windows(2).find(|pair| pair[0] == pair[1]).map(|pair| format!("`{}` is listed twice", pair[0]));
-        let message = if sorted.is_empty() { Some("at least one feature is needed".to_owned()) } else { twin };
+        let twin = twice(params.features.iter().collect()).map(|name| format!("`{name}` is listed twice"));
+        let message = if params.features.is_empty() { Some("at least one feature is needed".to_owned()) } else { twin };
         let at_features = |message| Fault { path: vec!["features".to_owned()], ..Fault::new(message) };
         message.map(at_features).into_iter().collect()
     }

@@ -23,6 +23,13 @@ impl Mesh {
         self.triangles.iter().flatten().for_each(|vertex| used[*vertex as usize] = true);
         (!self.triangles.is_empty() && used.contains(&false)).then_some(used)
     }
+
+    /// The vertices that are part of the surface, in their order, metres; see [`Self::surface_vertices`].
+    pub fn surface_points(&self) -> impl Iterator<Item = [f64; 3]> {
+        let used = self.surface_vertices();
+        let is_part = move |place: usize| used.as_ref().is_none_or(|used| used[place]);
+        self.vertices.iter().enumerate().filter(move |(place, _)| is_part(*place)).map(|(_, vertex)| *vertex)
+    }
 }
 
 #[cfg(test)]
@@ -40,5 +47,8 @@ mod tests {
         assert_eq!(mesh(&[[0, 3, 1]]).surface_vertices(), Some(vec![true, true, false, true]));
         assert_eq!(mesh(&[[0, 3, 1], [3, 2, 1]]).surface_vertices(), None);
         assert_eq!(mesh(&[]).surface_vertices(), None);
+        let counts =
+            [&[[0, 3, 1]][..], &[[0, 3, 1], [3, 2, 1]], &[]].map(|triangles| mesh(triangles).surface_points().count());
+        assert_eq!(counts, [3, 4, 4]);
     }
 }

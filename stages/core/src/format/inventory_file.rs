@@ -8,6 +8,7 @@
 use serde_json::{Value, json};
 
 use crate::artefact::{Cell, CodecError, Feature, Frame, Inventory, Polygon};
+use crate::names::twice;
 
 /// Whole numbers are exact up to here.
 const LARGEST_WHOLE: f64 = 9_007_199_254_740_992.0;
@@ -40,9 +41,7 @@ fn system(frame: Frame) -> String {
 }
 
 fn check(inventory: &Inventory) -> Result<(), CodecError> {
-    let mut names: Vec<&String> = inventory.columns.iter().collect();
-    names.sort_unstable();
-    if let Some([twin, ..]) = names.windows(2).find(|pair| pair[0] == pair[1]) {
+    if let Some(twin) = twice(inventory.columns.iter().collect()) {
         return Err(fault(&format!("two columns are called `{twin}`")));
     }
     for (number, feature) in inventory.features.iter().enumerate() {

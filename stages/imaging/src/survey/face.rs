@@ -22,7 +22,7 @@ pub struct Face {
 }
 
 impl Face {
-    /// Measures a mesh, and keeps at most `samples` of its vertices.
+    /// Measures the surface of a mesh, and keeps at most `samples` of its vertices.
     ///
     /// # Errors
     ///
@@ -38,11 +38,15 @@ impl Face {
         if mesh.vertices.is_empty() {
             fail!("the mesh has no vertices");
         }
-        let start = Vector3::repeat(f64::INFINITY);
-        let vertices = || mesh.vertices.iter().map(|vertex| Vector3::from(*vertex));
-        let low = vertices().fold(start, |low, vertex| low.inf(&vertex));
-        let high = vertices().fold(-start, |high, vertex| high.sup(&vertex));
-        let mean_z = mesh.vertices.iter().map(|vertex| vertex[2]).sum::<f64>() / mesh.vertices.len() as f64;
+        let (mut low, mut high) = (Vector3::repeat(f64::INFINITY), Vector3::repeat(f64::NEG_INFINITY));
+        let (mut count, mut sum_z) = (0.0, 0.0);
+        for vertex in mesh.surface_points().map(Vector3::from) {
+            low = low.inf(&vertex);
+            high = high.sup(&vertex);
+            count += 1.0;
+            sum_z += vertex.z;
+        }
+        let mean_z = sum_z / count;
         let centre = Vector3::new(0.5 * (low.x + high.x), 0.5 * (low.y + high.y), mean_z);
         let samples = sample_vertices(mesh, samples);
         Ok(Self { centre, width_m: high.x - low.x, height_m: high.y - low.y, nearest_z: high.z, samples })

@@ -48,7 +48,7 @@ pub struct ForecastPrecision;
 impl Stage for ForecastPrecision {
     type Params = ForecastPrecisionParams;
     const NAME: &'static str = "forecast-precision";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const PAGE: Page = Page::new(include_str!("forecast_precision.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("cameras", &[Kind::Cameras], "The planned block."),
@@ -214,7 +214,8 @@ impl<'a> Survey<'a> {
         visibility: &Visibility,
         orientation_m: f64,
     ) -> Result<Raster, StageError> {
-        let shape = Shape::Mesh(mesh);
+        let vertices = mesh.surface_vertices();
+        let shape = Shape::Mesh(mesh).on_surface(vertices.as_deref());
         let Some(extent) = extent(shape, None) else { fail!("the mesh has no vertices") };
         let grid = grid_around(extent, params.map_cell_m).map_err(|e| e.hint("choose a larger `map_cell_m`"))?;
         let z = tin(shape, None, &grid);

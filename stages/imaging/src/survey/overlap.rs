@@ -10,10 +10,11 @@ use rockface_core::numerics::portable_math;
 /// Least component of the viewing direction across the baseline, of both images together and of each: below it a pair cannot be rectified.
 const FORWARD: f64 = 0.1;
 
-/// At most `limit` vertices of a mesh, evenly spaced in its vertex list.
+/// At most `limit` vertices of the surface of a mesh, evenly spaced in its vertex list.
 pub fn sample_vertices(mesh: &Mesh, limit: usize) -> Vec<Vector3<f64>> {
-    let stride = mesh.vertices.len().div_ceil(limit.max(1)).max(1);
-    mesh.vertices.iter().step_by(stride).map(|vertex| Vector3::from(*vertex)).collect()
+    let count = mesh.surface_points().count();
+    let stride = count.div_ceil(limit.max(1)).max(1);
+    mesh.surface_points().step_by(stride).map(Vector3::from).collect()
 }
 
 /// Depth along the optical axis, metres, of each point that lies in the image; occlusion is ignored.

@@ -109,7 +109,7 @@ pub struct PlanSurvey;
 impl Stage for PlanSurvey {
     type Params = PlanSurveyParams;
     const NAME: &'static str = "plan-survey";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PAGE: Page = Page::new(include_str!("plan_survey.md"));
     const INPUTS: &'static [Port] = &[Port::one("mesh", &[Kind::Mesh], "The face, in the wall frame.")];
     const OUTPUTS: &'static [Port] = &[Port::one("cameras", &[Kind::Cameras], "The sensors and the images.")];

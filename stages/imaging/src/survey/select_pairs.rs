@@ -34,7 +34,7 @@ pub struct SelectPairs;
 impl Stage for SelectPairs {
     type Params = SelectPairsParams;
     const NAME: &'static str = "select-pairs";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const PAGE: Page = Page::new(include_str!("select_pairs.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("cameras", &[Kind::Cameras], "The true orientation."),

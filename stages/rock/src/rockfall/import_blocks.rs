@@ -10,6 +10,7 @@ use rockface_core::artefact::candidates::Modifier;
 use rockface_core::artefact::{Frame, Georeference, Kind, Mesh, Meshes, Part, Transform};
 use rockface_core::crs::{CrsName, Stated, Tool, settle, wall_without_system};
 use rockface_core::format::distribution_file;
+use rockface_core::names::twice;
 use rockface_core::numerics::random::Key;
 use rockface_core::params::{Fault, FileRef, FilesRef, Range};
 use rockface_core::{Context, Inputs, Outputs, Page, Port, SourceFile, Stage, StageError, choice, fail, params};
@@ -293,10 +294,8 @@ fn modified(mut solid: Solid, name: &str, modifiers: &[Modifier], context: &Cont
 
 /// Truth names blocks by their names, so each needs its own.
 fn refuse_twins(parts: &[Part]) -> Result<(), StageError> {
-    let mut names: Vec<&str> = parts.iter().map(|part| part.name.as_str()).collect();
-    names.sort_unstable();
-    match names.windows(2).find(|pair| pair[0] == pair[1]) {
-        Some(pair) => Err(StageError::new(format!("two blocks would be called `{}`", pair[0]))
+    match twice(parts.iter().map(|part| part.name.as_str()).collect()) {
+        Some(name) => Err(StageError::new(format!("two blocks would be called `{name}`"))
             .hint("files must differ in more than their extension; rename one")),
         None => Ok(()),
     }

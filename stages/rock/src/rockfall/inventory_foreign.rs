@@ -6,6 +6,7 @@ use rockface_core::artefact::{Cell, CodecError, Feature, Frame, Inventory, Polyg
 use rockface_core::crs::{Kind, Stated};
 use rockface_core::format::without_mark;
 use rockface_core::limits;
+use rockface_core::names::twice;
 
 /// Reads a feature collection. Its member `rockface` states frame and columns; without it the frame is world, and properties
 /// become columns in alphabetical order.
@@ -60,10 +61,8 @@ fn about(file: &Value) -> Result<Option<About>, CodecError> {
     let faulty = |e: serde_json::Error| CodecError(format!("its member `rockface` cannot be read: {e}"));
     let frame = serde_json::from_value(frame).map_err(faulty)?;
     let columns: Option<Vec<String>> = member("columns").map(serde_json::from_value).transpose().map_err(faulty)?;
-    let mut names: Vec<&String> = columns.iter().flatten().collect();
-    names.sort_unstable();
-    match names.windows(2).find(|pair| pair[0] == pair[1]) {
-        Some(pair) => Err(CodecError(format!("its member `rockface` lists the column `{}` twice", pair[0]))),
+    match twice(columns.iter().flatten().collect()) {
+        Some(name) => Err(CodecError(format!("its member `rockface` lists the column `{name}` twice"))),
         None => Ok(Some(About { frame, columns })),
     }
 }

@@ -5,8 +5,8 @@
 
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
-use super::twice;
 use rockface_core::artefact::{Image, Sensor};
+use rockface_core::names::twice;
 use rockface_core::{StageError, fail};
 
 /// Offset from the pixel coordinates of rockface to those of COLMAP.

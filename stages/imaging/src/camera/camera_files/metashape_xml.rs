@@ -3,7 +3,7 @@
 use nalgebra::{Matrix3, Vector3};
 use roxmltree::{Document, Node};
 
-use super::twice;
+use rockface_core::names::twice;
 use rockface_core::{StageError, fail};
 
 /// One chunk of a file.

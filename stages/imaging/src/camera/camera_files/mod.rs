@@ -22,6 +22,7 @@ mod round_trip_tests;
 
 use rockface_core::artefact::{Cameras, Covariance, Frame, Image, Sensor};
 use rockface_core::crs::Stated;
+use rockface_core::names::twice;
 use rockface_core::{StageError, fail};
 
 /// How far from 1 the length of an imported quaternion may be; closer ones are normalised.
@@ -98,12 +99,6 @@ fn check_names<'a>(what: &str, names: impl Iterator<Item = &'a str>) -> Result<(
             .hint("covariances and pairs refer to names: give each its own")),
         None => Ok(()),
     }
-}
-
-/// The least of the names or numbers that are there more than once.
-pub fn twice<T: Ord + Copy>(mut names: Vec<T>) -> Option<T> {
-    names.sort_unstable();
-    names.windows(2).find(|pair| pair[0] == pair[1]).map(|pair| pair[0])
 }
 
 /// Checks that an interior orientation is usable.

@@ -27,16 +27,23 @@ pub fn centroid(vertices: &[[f64; 3]], triangles: &[[u32; 3]]) -> [f64; 3] {
 /// rims of a niche and of the rock face over it coincide, and rounding would decide whether a point on them is inside.
 const INWARD: f64 = 1e-6;
 
+/// More than the rounding of a height between three corners, metres.
+const ROUNDING_M: f64 = 1e-9;
+
 /// The greatest distance, along a direction, between the triangles of `deep` and those of `cover` over them, metres, looked for at the corners of
 /// both; 0 where none is under any. The niche of a prism along the direction has no vertex but those under the rim of its cover.
 pub fn depth_m(vertices: &[[f64; 3]], deep: &[[u32; 3]], cover: &[[u32; 3]], frame: &Matrix3<f64>) -> f64 {
     let turned: Vec<[f64; 3]> = vertices.iter().map(|v| (frame.transpose() * Vector3::from(*v)).into()).collect();
     let greatest = |from: &[[u32; 3]], to: &[[u32; 3]], sign: f64| {
         let lids = Lids::new(&turned, to);
-        let over =
-            |[x, y, z]: [f64; 3]| lids.heights(x, y).fold(0.0, |depth: f64, other| depth.max(sign * (other - z)));
-        let corners = |triangle: &[u32; 3]| inner_corners(triangle.map(|v| turned[v as usize]));
-        from.iter().flat_map(corners).map(over).fold(0.0, f64::max)
+        let bounds = lids.bounds(sign);
+        let corners = from.iter().flat_map(|triangle| inner_corners(triangle.map(|v| turned[v as usize])));
+        corners.fold(0.0, |depth: f64, [x, y, z]| {
+            if bounds[lids.cell_at(x, y)] - sign * z + ROUNDING_M < depth {
+                return depth;
+            }
+            lids.heights(x, y).fold(depth, |depth, other| depth.max(sign * (other - z)))
+        })
     };
     greatest(deep, cover, 1.0).max(greatest(cover, deep, -1.0))
 }
@@ -93,10 +100,24 @@ impl<'a> Lids<'a> {
         [cell(0, self.wide), cell(1, self.high)]
     }
 
+    /// The number of the cell of a point.
+    fn cell_at(&self, x: f64, y: f64) -> usize {
+        let [column, row] = self.cell([x, y]);
+        row * self.wide + column
+    }
+
+    /// By cell, the greatest third coordinate, times `sign`, that its triangles have anywhere: no height in it is greater, but for rounding.
+    fn bounds(&self, sign: f64) -> Vec<f64> {
+        let highest = |number: &u32| {
+            let corners = self.triangles[*number as usize].map(|v| sign * self.places[v as usize][2]);
+            corners.into_iter().fold(f64::NEG_INFINITY, f64::max)
+        };
+        self.cells.iter().map(|cell| cell.iter().map(highest).fold(f64::NEG_INFINITY, f64::max)).collect()
+    }
+
     /// The third coordinate of every triangle over or under a point, in the order of the triangles.
     pub fn heights(&self, x: f64, y: f64) -> impl Iterator<Item = f64> {
-        let [column, row] = self.cell([x, y]);
-        self.cells[row * self.wide + column].iter().filter_map(move |number| {
+        self.cells[self.cell_at(x, y)].iter().filter_map(move |number| {
             let [a, b, c] = self.triangles[*number as usize].map(|v| self.places[v as usize]);
             height_in([a, b, c], x, y)
         })
