@@ -18,6 +18,16 @@ fn including() -> House {
     house
 }
 
+#[test]
+fn what_only_a_picture_shows_is_among_the_headlines() {
+    let picture = "  picture: {stage: draw-picture, in: {subject: dem.dem}}\n";
+    let house = House::new(&format!("{SMALL}{picture}"));
+    let (code, out, err) = house.rockface(&["run", "p.yaml"]);
+    assert_eq!(code, Some(0), "{err}");
+    // The face is read by the DEM too, which speaks for itself.
+    assert!(out.contains("\ndem: ") && !out.contains("\nface: "), "{out}");
+}
+
 /// The texts of the files of a tar archive.
 pub fn unpacked(path: &std::path::Path) -> BTreeMap<String, Vec<u8>> {
     let mut archive = tar::Archive::new(std::fs::File::open(path).unwrap());

@@ -331,23 +331,45 @@ impl Writer<'_> {
         }
     }
 
-    /// The results in a line each: what the target steps have to say, first those that nothing reads and that are expanded over the
-    /// fewest axes, otherwise as written. What all instances of a step say alike is said once.
+    /// By step: whether it is read, and only by targets that have no headline of their own, such as a picture or a table of what it found.
+    fn shown_by_ends(&self, logs: &[Vec<Entry>]) -> Vec<bool> {
+        let graph = &self.plan.graph;
+        let mut is_silent = vec![true; graph.steps.len()];
+        for (instance, entries) in logs.iter().enumerate() {
+            let speaks = entries.iter().any(|entry| matches!(entry, Entry::Headline { .. }));
+            is_silent[self.plan.instances[instance].step] &= !speaks;
+        }
+        let wanted = graph.wanted();
+        let mut readers: Vec<Vec<usize>> = vec![Vec::new(); graph.steps.len()];
+        for (number, step) in graph.steps.iter().enumerate().filter(|(number, _)| wanted[*number]) {
+            let sources = step.inputs.iter().flat_map(|(_, feed)| feed.sources());
+            sources.for_each(|source| readers[source.step].push(number));
+        }
+        let is_end = |reader: &usize| is_silent[*reader] && graph.targets.contains(reader);
+        readers.iter().map(|readers| !readers.is_empty() && readers.iter().all(is_end)).collect()
+    }
+
+    /// The results in a line each: what the target steps have to say, and those whose results only targets without a word show; first
+    /// those that nothing reads and that are expanded over the fewest axes, otherwise as written. What all instances of a step say alike is
+    /// said once.
     fn headlines(&self, logs: &[Vec<Entry>]) -> Vec<String> {
         let (graph, ends) = (&self.plan.graph, self.plan.graph.ends());
+        let shown_by_ends = self.shown_by_ends(logs);
+        let is_target = |instance: usize| self.plan.targets.binary_search(&instance).is_ok();
         let mut found: Vec<(usize, usize, &str)> = Vec::new();
         for (instance, entries) in logs.iter().enumerate() {
-            if self.plan.targets.binary_search(&instance).is_err() {
+            let step = self.plan.instances[instance].step;
+            if !is_target(instance) && !shown_by_ends[step] {
                 continue;
             }
-            let step = self.plan.instances[instance].step;
             for entry in entries {
                 if let Entry::Headline { text } = entry {
                     found.push((step, instance, text));
                 }
             }
         }
-        found.sort_by_key(|(step, _, _)| (!ends[*step], graph.steps[*step].axes.len(), graph.steps[*step].written));
+        let rank = |step: usize| (!ends[step], graph.steps[step].axes.len(), graph.steps[step].written);
+        found.sort_by_key(|(step, instance, _)| (!is_target(*instance), rank(*step)));
         let mut lines = Vec::new();
         for group in found.chunk_by(|one, other| one.0 == other.0) {
             let label = |instance: usize| self.plan.label(instance);

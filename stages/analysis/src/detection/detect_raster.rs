@@ -88,7 +88,7 @@ pub struct DetectRaster;
 impl Stage for DetectRaster {
     type Params = DetectRasterParams;
     const NAME: &'static str = "detect-raster";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const PAGE: Page = Page::new(include_str!("detect_raster.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("difference", &[Kind::Raster], "Comparison minus reference, one band."),
@@ -117,6 +117,7 @@ impl Stage for DetectRaster {
         let limit = quantile::median(&mut marginal::known(&limits)).unwrap_or(f64::NAN);
         warn_of_offset(limit, &band.values, context);
         warn_of_uneven_noise(&params.lod, difference, context);
+        warn_of_single_cells(params, difference.grid.cell_m, context);
         let found = detect(params, difference, &lost, &limits, reference);
         report(&found, &limits, limit, &lost, context)?;
         warn_of_missing(&found, difference, context);
@@ -266,6 +267,18 @@ fn detect(
     let surface = |cell: usize| reference.map_or(0.0, |z| f64::from(z[cell]));
     let sign = params.change.sign();
     groups.iter().map(|cells| raster::cluster(grid, cells, |c| (surface(c), sign * lost[c]), limits, factor)).collect()
+}
+
+/// Says where the filters of width and area let single cells pass, as their defaults do in coarse rasters.
+fn warn_of_single_cells(params: &DetectRasterParams, cell_m: f64, context: &Context) {
+    let (width_m, area_m2) = (params.min_width_m, params.min_area_m2);
+    let is_filtered = raster::whole_cells(width_m, cell_m) > 1 || raster::whole_cells(area_m2, cell_m * cell_m) > 1;
+    if !is_filtered && (width_m > 0.0 || area_m2 > 0.0) {
+        context.warn(format!(
+            "`min_width_m` {width_m} and `min_area_m2` {area_m2} are no more than a cell of {cell_m} m: single cells count as changes; give a \
+             width of two cells and an area of four, or more"
+        ));
+    }
 }
 
 /// The share of cells without a value at the rims of what was found, of all its cells, that is worth a warning, and how many at least.

@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 
-use rockface_core::artefact::{Feature, Frame, Grid, Inventory, Raster, Sample, TableRow};
+use rockface_core::artefact::{Feature, Frame, Grid, Inventory, Raster, Sample, TableRow, Transform};
 use rockface_core::table_row;
 use rockface_core::{StageError, fail};
 use rockface_rock::rockfall::ground_truth::bounding_box::oriented_box;
@@ -23,6 +23,9 @@ table_row! {
         centroid_x_m: f64,
         centroid_y_m: f64,
         centroid_z_m: f64,
+        centroid_world_x_m: Option<f64>,
+        centroid_world_y_m: Option<f64>,
+        centroid_world_z_m: Option<f64>,
         long_m: f64,
         intermediate_m: f64,
         short_m: f64,
@@ -60,17 +63,20 @@ pub fn volume_text(volume_m3: f64) -> String {
     if volume_m3 == 0.0 || volume_m3 >= 0.01 { format!("{volume_m3:.4}") } else { format!("{volume_m3:.3e}") }
 }
 
-/// The inventory of what was found, numbered from 1 in the given order.
+/// The inventory of what was found, numbered from 1 in the given order. Where it is known how the wall frame is in the world, each change has
+/// its centroid there too.
 pub fn inventory(grid: &Grid, frame: Frame, method: &str, found: &[Found]) -> Inventory {
-    let feature = |(number, found): (usize, &Found)| Feature {
-        outline: outline::polygons(grid, &found.cells),
-        values: columns(grid, method, number, found).cells(),
+    let world_from_wall = frame.wall_from_world().map(Transform::inverse);
+    let feature = |(number, found): (usize, &Found)| {
+        let world = world_from_wall.as_ref().map(|transform| transform.apply(&found.centroid_m.into()).into());
+        let values = columns(grid, method, number, found, world).cells();
+        Feature { outline: outline::polygons(grid, &found.cells), values }
     };
     let features = found.iter().enumerate().map(feature).collect();
     Inventory { frame, columns: Columns::columns(), features }
 }
 
-fn columns<'a>(grid: &Grid, method: &'a str, number: usize, found: &Found) -> Columns<'a> {
+fn columns<'a>(grid: &Grid, method: &'a str, number: usize, found: &Found, world_m: Option<[f64; 3]>) -> Columns<'a> {
     let [centroid_x_m, centroid_y_m, centroid_z_m] = found.centroid_m;
     let [long_m, intermediate_m, short_m] = sides(&found.points);
     let form = sneed_folk::form([long_m, intermediate_m, short_m]);
@@ -88,6 +94,9 @@ fn columns<'a>(grid: &Grid, method: &'a str, number: usize, found: &Found) -> Co
         centroid_x_m,
         centroid_y_m,
         centroid_z_m,
+        centroid_world_x_m: world_m.map(|place| place[0]),
+        centroid_world_y_m: world_m.map(|place| place[1]),
+        centroid_world_z_m: world_m.map(|place| place[2]),
         long_m,
         intermediate_m,
         short_m,
@@ -125,7 +134,7 @@ pub fn labels(grid: &Grid, frame: Frame, found: &[Found]) -> Result<Raster, Stag
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rockface_core::artefact::Noun;
+    use rockface_core::artefact::{Georeference, Noun};
 
     #[test]
     fn a_box_of_cells_has_its_measures() {
@@ -154,6 +163,14 @@ mod tests {
         near("short_m", 0.1);
         near("centroid_z_m", 0.05);
         assert!(made.encode().is_ok() && made.features[0].outline.len() == 1);
+        assert_eq!(number("centroid_world_x_m"), None);
+        let turn = nalgebra::Matrix3::new(0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0);
+        let wall_from_world = Transform::new("world", "wall", &turn, [500.0, 600.0, 70.0].into(), Vector3::zeros());
+        let placed = Frame::Wall.at(Some(Georeference { crs: None, wall_from_world: Some(wall_from_world) }));
+        let made = inventory(&grid, placed, "raster", std::slice::from_ref(&found));
+        let world = ["x", "y", "z"].map(|axis| made.numbers(&format!("centroid_world_{axis}_m")).unwrap()[0]);
+        // Z of the wall is X of the world.
+        assert_eq!(world, [Some(500.05), Some(600.0), Some(70.0)]);
         let labels = labels(&grid, Frame::Wall, &[found]).unwrap();
         assert_eq!(labels.bands[0].values.iter().filter(|v| **v > 0.5).count(), 6);
     }

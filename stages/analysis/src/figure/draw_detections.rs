@@ -11,7 +11,7 @@ params! {
     /// Parameters of `draw-detections`.
     pub struct DrawDetectionsParams {
         /// Title.
-        title: String = "Detections against the truth".to_owned(),
+        title: String = "Detections".to_owned(),
         /// Width of the picture, pixels; text and lines grow with it from 1000 on.
         width_px: u32 = 1000; Range::Between(600.0, 8000.0),
     }
@@ -23,7 +23,7 @@ pub struct DrawDetections;
 impl Stage for DrawDetections {
     type Params = DrawDetectionsParams;
     const NAME: &'static str = "draw-detections";
-    const VERSION: u32 = 4;
+    const VERSION: u32 = 5;
     const PAGE: Page = Page::new(include_str!("draw_detections.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("face", &[Kind::Raster], "Elevations of the face."),

@@ -32,6 +32,18 @@ fn volumes(found: &Inventory) -> Vec<f64> {
 }
 
 #[test]
+fn filters_that_let_single_cells_pass_are_told() {
+    let warned = |with: &Value| {
+        let host = TestHost::default();
+        run_stage::<DetectRaster>(&host, with, &[("difference", scene(&[([1, 4, 1, 4], -0.1)]).into())]).unwrap();
+        host.warnings().iter().any(|text| text.contains("single cells count"))
+    };
+    assert!(warned(&json!({"min_width_m": 0.02, "min_area_m2": 0.0004})));
+    assert!(!warned(&json!({})) && !warned(&json!({"min_width_m": 0, "min_area_m2": 0})));
+    assert!(!warned(&json!({"min_width_m": 0.01, "min_area_m2": 0.001})));
+}
+
+#[test]
 fn only_losses_beyond_the_limit_that_are_large_enough_count() {
     let difference = scene(&[
         ([1, 4, 1, 4], -0.1),     // found: 9 cells
