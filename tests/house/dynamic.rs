@@ -45,6 +45,17 @@ fn a_search_in_two_stages_grows_its_plan() {
 }
 
 #[test]
+fn what_no_item_can_change_is_checked_before_the_items_are_known() {
+    let bench = Bench::new();
+    let wrong = "{value: '${fine.value}', whole: perhaps, wohle: true}";
+    let faults = bench.plan(&SEARCH.replace("{value: '${fine.value}'}", wrong), &[]).err().unwrap().to_string();
+    for piece in ["`whole`: expected", "unknown parameter `wohle`", "did you mean `whole`?", "close"] {
+        assert!(faults.contains(piece), "missing `{piece}` in:\n{faults}");
+    }
+    assert!(!faults.contains("`value`"), "{faults}");
+}
+
+#[test]
 fn more_rows_run_alone() {
     let bench = Bench::new();
     bench.run(SEARCH, &[]);

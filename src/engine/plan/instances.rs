@@ -239,6 +239,9 @@ struct Expansion<'a> {
     room: usize,
 }
 
+/// At how many points a step is checked whose other axes have no items yet; it is checked at all of them later.
+const LATER_POINTS: usize = 100;
+
 /// The most bytes that the parameters of a plan may take, all put together.
 const PARAMETERS_BYTES: usize = 256 << 20;
 
@@ -298,6 +301,8 @@ impl<'a> Expansion<'a> {
         }
         if there.is_empty() {
             (0..needed.len()).filter(is_idle).for_each(|step| self.check_unneeded(step, &graph.steps[step]));
+            let is_later = |step: &usize| needed[*step].is_empty() && !is_idle(step);
+            (0..needed.len()).filter(is_later).for_each(|step| self.check_later(&graph.steps[step]));
         }
         if self.faults.is_empty() { Ok(instances) } else { Err(self.faults.into_list()) }
     }
@@ -309,6 +314,16 @@ impl<'a> Expansion<'a> {
             if let Err(faults) = parameters::check(self.graph, &self.graph.steps[index], &items) {
                 self.report(faults);
             }
+        }
+    }
+
+    /// Steps that wait for the items of an axis: what the items cannot change is checked at once.
+    fn check_later(&mut self, step: &GraphStep) {
+        let known: Vec<usize> = step.with_axes.iter().copied().filter(|axis| !self.graph.is_pending(*axis)).collect();
+        for items in points(self.graph, &known).into_iter().take(LATER_POINTS) {
+            let items = known.iter().copied().zip(items).collect();
+            let faults = parameters::check_known(self.graph, step, &items);
+            self.report(faults);
         }
     }
 

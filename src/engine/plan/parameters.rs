@@ -100,6 +100,27 @@ pub fn check_with_files(
     }
 }
 
+/// What is wrong with those parameters of a step that mention no axis whose items another step has yet to make: unknown keys, and values that
+/// are no good whatever the others are. Parameters are not held against each other.
+pub fn check_known(graph: &Graph, step: &GraphStep, items: &BTreeMap<usize, usize>) -> Vec<Diagnostic> {
+    /// A key that no stage has: with it reading fails, before parameters are held against each other.
+    const NO_KEY: &str = "\0";
+    let Some(entries) = step.with.as_deref().and_then(Node::entries) else { return Vec::new() };
+    let mut given = serde_json::Map::from_iter([(NO_KEY.to_owned(), Value::Null)]);
+    let mut pending = vec![NO_KEY];
+    for (key, node) in entries {
+        match filled(node, &|name| lookup(graph, items, name)) {
+            Ok(value) => drop(given.insert(key.name.clone(), value)),
+            Err(_) => pending.push(&key.name),
+        }
+    }
+    let with = Value::Object(given);
+    let place = Place { step: &step.name, stage: step.stage, with: step.with.as_deref(), span: step.span };
+    let faults = step.stage.check(&with).err().unwrap_or_default();
+    let is_known = |fault: &&Fault| fault.path.first().is_some_and(|key| !pending.contains(&key.as_str()));
+    faults.iter().filter(is_known).map(|fault| told(&place, &with, fault)).collect()
+}
+
 fn fill(graph: &Graph, step: &GraphStep, items: &BTreeMap<usize, usize>) -> Result<Value, Vec<Diagnostic>> {
     let Some(with) = &step.with else { return Ok(Value::Null) };
     filled(with, &|name| lookup(graph, items, name)).map_err(|mut faults| {
