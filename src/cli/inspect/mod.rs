@@ -306,6 +306,7 @@ fn of_file(path: &Path, places: &Places) -> Result<Found, CliError> {
 fn importer(extension: &str) -> Option<&'static str> {
     match extension {
         "las" | "laz" | "xyz" | "pts" | "txt" => Some("import-cloud"),
+        "csv" => Some("import-cloud` for points, `import-table"),
         "obj" | "stl" => Some("import-mesh"),
         "xml" | "out" => Some("import-cameras"),
         _ => None,
