@@ -17,6 +17,7 @@ pub mod relief;
 pub mod repair;
 pub mod rounding;
 pub mod safe_zone;
+pub mod separators;
 pub mod sheet;
 pub mod stl;
 pub mod stray;

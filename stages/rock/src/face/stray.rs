@@ -8,8 +8,8 @@ const SHARE: f64 = 0.99;
 const FAR: f64 = 10.0;
 /// Triangles that the extent is told from, at most.
 const SAMPLE: usize = 100_000;
-/// A triangle counts for no more than so many of median area, so a long one to a corner far away does not decide.
-const MOST_MEDIANS: f64 = 100.0;
+/// A triangle counts for no more than so many of median area, so a few long ones to a corner far away do not decide.
+const MOST_MEDIANS: f64 = 10.0;
 
 /// Triangles far away from the rest.
 #[derive(Debug, Clone, Copy, PartialEq)]
