@@ -168,6 +168,7 @@ fn framed(
     placing::check_unit(&params.path.0, params.unit_m, &stated)?;
     let middle = placing::middle(cloud.points.iter().copied(), params.offset_m);
     let settled = settle(&params.path.0, stated, params.crs.as_ref(), (tool, middle), context)?;
+    placing::height_warning(middle.map(|middle| settled.point(middle))).into_iter().for_each(|text| context.warn(text));
     placing::warning(&settled, &cloud.points).into_iter().for_each(|text| context.warn(text));
     if !settled.keeps_coordinates() {
         cloud.points.iter_mut().for_each(|point| *point = settled.point(*point));

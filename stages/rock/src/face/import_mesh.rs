@@ -139,8 +139,9 @@ fn framed(
     placing::check_unit(&params.path.0, params.unit_m, &stated)?;
     // Vertices that no triangle uses are no part of the face.
     let corners = mesh.triangles.iter().map(|corners| mesh.vertices[corners[0] as usize]);
-    let about = (Tool::Other, placing::middle(corners, params.offset_m));
-    let settled = settle(&params.path.0, stated, params.crs.as_ref(), about, context)?;
+    let middle = placing::middle(corners, params.offset_m);
+    let settled = settle(&params.path.0, stated, params.crs.as_ref(), (Tool::Other, middle), context)?;
+    placing::height_warning(middle.map(|middle| settled.point(middle))).into_iter().for_each(|text| context.warn(text));
     placing::warning(&settled, &mesh.vertices).into_iter().for_each(|text| context.warn(text));
     if !settled.keeps_coordinates() {
         mesh.vertices.iter_mut().for_each(|vertex| *vertex = settled.point(*vertex));

@@ -35,6 +35,18 @@ pub fn middle(points: impl ExactSizeIterator<Item = [f64; 3]>, offset_m: [f64; 3
     Some(middle)
 }
 
+/// No face of the Earth is as high, metres.
+const HIGHEST_M: f64 = 10_000.0;
+
+/// What there is to say where heights are none of a face: columns in another order, or another unit.
+pub fn height_warning(middle: Option<[f64; 3]>) -> Option<String> {
+    let [_, _, z] = middle.filter(|[_, _, z]| z.abs() > HIGHEST_M)?;
+    Some(format!(
+        "the median of Z is {z:.0}, and no face is as high in metres: are X, Y and Z other columns (`columns` of `import-cloud`), or is the \
+         unit another one (`unit_m`)?"
+    ))
+}
+
 /// Widest face in degrees: some kilometres.
 const WIDEST_DEG: f64 = 0.05;
 /// Times its width that a face in degrees is high, in metres.
@@ -101,6 +113,8 @@ mod tests {
             "{x} {y} {z}"
         );
         assert_eq!(middle([].into_iter(), [0.0; 3]), None);
+        assert_eq!((height_warning(Some([x, y, z])), height_warning(None)), (None, None));
+        assert!(height_warning(Some([7.0, x, y])).unwrap().contains("Z is 5512000"));
     }
 
     #[test]
