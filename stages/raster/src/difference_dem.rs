@@ -1,6 +1,7 @@
 //! `difference-dem`: comparison minus reference, cell by cell.
 
 use crate::grid;
+use crate::strange_values::{impossible_differences, written};
 use rockface_core::artefact::{Band, Kind, Raster};
 use rockface_core::numerics::marginal;
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
@@ -43,6 +44,9 @@ impl Stage for DifferenceDem {
         }
         let bands: Vec<Band> =
             reference.bands.iter().zip(&comparison.bands).map(|(r, c)| subtract(r, c, reference.bands.len())).collect();
+        for band in &bands {
+            warn_of_impossible(band, context);
+        }
         let all: Vec<f32> = bands.iter().flat_map(|band| band.values.iter().copied()).collect();
         let Some(found) = marginal::marginal(&all) else {
             return Err(StageError::new("reference and comparison have fewer than two cells in common")
@@ -70,6 +74,19 @@ fn check(reference: &Raster, comparison: &Raster) -> Result<(), StageError> {
     let (fa, fb) = (reference.frame, comparison.frame);
     Err(StageError::new(format!("the reference has {a} ({fa} frame), the comparison {b} ({fb} frame)"))
         .hint("where both are made by `rasterise-dem`, hand the first raster to the port `grid` of the other; bring files onto one grid before, such as with `gdalwarp -te -tr`"))
+}
+
+/// Warns of differences that no change of a rock face has.
+fn warn_of_impossible(band: &Band, context: &Context) {
+    if let Some(found) = impossible_differences(band) {
+        context.warn(format!(
+            "band `{}`: {} cells differ by 100 m or more, up to {} m: one of the two may hold a no-data value as an elevation, which `nodata` of \
+             `import-rasters` declares; or heights above two datums, or in two units, were compared",
+            band.name,
+            found.cells,
+            written(found.value)
+        ));
+    }
 }
 
 /// NaN in either gives NaN; the subtraction is done in 64 bits.
@@ -117,6 +134,21 @@ mod tests {
         run_stage::<DifferenceDem>(&host, &json!({}), &inputs).unwrap();
         let warnings = host.warnings();
         assert!(warnings.len() == 1 && warnings[0].contains("`comparison`") && warnings[0].contains("`difference`"));
+    }
+
+    #[test]
+    fn differences_of_100_m_are_warned_of() {
+        let warnings = |value: f32| {
+            let host = TestHost::default();
+            let comparison = elevation([600.0, value, value, 600.5]);
+            let inputs: [(&str, Artefact); 2] =
+                [("reference", elevation([600.0; 4]).into()), ("comparison", comparison.into())];
+            run_stage::<DifferenceDem>(&host, &json!({}), &inputs).unwrap();
+            host.warnings()
+        };
+        let found = warnings(-9999.0);
+        assert!(found[0].contains("2 cells differ by 100 m or more, up to -10599 m") && found[0].contains("`nodata`"));
+        assert!(warnings(520.0).is_empty());
     }
 
     #[test]

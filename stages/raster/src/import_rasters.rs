@@ -3,6 +3,7 @@
 use std::io::Read;
 
 use crate::grid;
+use crate::strange_values::{impossible_differences, is_same, undeclared_elevations, written};
 use rockface_core::artefact::{CodecError, Frame, Kind, Noun, Raster, Sample};
 use rockface_core::crs::{self, CrsName, Settled, Tool, settle, wall_without_system};
 use rockface_core::format::geotiff::{self, DAMAGED, System};
@@ -34,13 +35,14 @@ params! {
         frame: GridFrame = GridFrame::Automatic,
         /// The coordinate reference system of files that state none: `EPSG:28356`.
         crs: Option<CrsName> = None,
+        /// Values of the files that stand for no value, besides the one that a file declares: `[-9999]`. They are those that remain
+        /// where the file has a scale and an offset, and before feet are converted.
+        nodata: Vec<f64> = Vec::new(),
         /// Larger values are outliers and left out; left out: none are.
         max_abs: Option<f64> = None; Range::Positive,
     }
 }
 
-/// A difference as large as this is no change of a rock face, metres.
-const LEAST_IMPOSSIBLE_M: f32 = 100.0;
 /// Differences of one survey rarely scatter by more than this, metres.
 const LARGEST_USUAL_DEVIATION_M: f64 = 1.0;
 
@@ -154,6 +156,10 @@ fn read(
     let (frame, settled) = settled(&name, system, params, context, systems)?;
     let mut raster = Raster::decode(&bytes).map_err(|e| unreadable(&name, &e))?;
     raster.frame = frame;
+    leave_no_data_out(&mut raster, &params.nodata);
+    if params.quantity == "elevation" {
+        warn_of_undeclared(&name, &raster, context);
+    }
     to_metres(&mut raster, &settled, &params.quantity);
     let stem = name.rsplit_once('.').map_or(name.as_str(), |(stem, _)| stem);
     let single = raster.bands.len() == 1;
@@ -165,6 +171,30 @@ fn read(
         band.name = if single { stem.to_owned() } else { format!("{stem}.{}", band.name) };
     }
     Ok(raster)
+}
+
+/// Takes the values away that stand for none.
+fn leave_no_data_out(raster: &mut Raster, nodata: &[f64]) {
+    let is_none = |value: f32| nodata.iter().any(|none| is_same(*none as f32, value));
+    for value in raster.bands.iter_mut().flat_map(|band| &mut band.values).filter(|value| is_none(**value)) {
+        *value = f32::NAN;
+        raster.sample = Sample::Float;
+    }
+}
+
+/// Warns of values of elevations that look like no-data values which the file does not declare.
+fn warn_of_undeclared(name: &str, raster: &Raster, context: &Context) {
+    for band in &raster.bands {
+        let of_band = if raster.bands.len() == 1 { String::new() } else { format!(", band `{}`", band.name) };
+        for found in undeclared_elevations(&band.values) {
+            let value = written(found.value);
+            context.warn(format!(
+                "`{name}`{of_band}: {} cells hold {value}, which looks like a no-data value that the file does not declare, and would be a \
+                 change of the face: `nodata: [{value}]` declares it",
+                found.cells
+            ));
+        }
+    }
 }
 
 /// Quantities whose values are lengths along Z.
@@ -189,13 +219,12 @@ fn to_metres(raster: &mut Raster, settled: &Settled, quantity: &str) {
 fn warn_of_strange_differences(raster: &Raster, context: &Context) {
     let mut scattered = Vec::new();
     for band in &raster.bands {
-        let impossible = || band.values.iter().filter(|v| v.abs() >= LEAST_IMPOSSIBLE_M);
-        if let Some(largest) = impossible().copied().reduce(|a, b| if b.abs() > a.abs() { b } else { a }) {
+        if let Some(found) = impossible_differences(band) {
+            let largest = written(found.value);
             context.warn(format!(
                 "band `{}`: {} cells hold 100 m or more, up to {largest}: this looks like a no-data value the file does \
-                 not declare; declare it with `gdal_edit.py -a_nodata {largest} FILE`",
-                band.name,
-                impossible().count()
+                 not declare; declare it with `nodata: [{largest}]`, or with `gdal_edit.py -a_nodata {largest} FILE`",
+                band.name, found.cells
             ));
         } else if let Some(found) = marginal::marginal(&band.values)
             && found.deviation > LARGEST_USUAL_DEVIATION_M
@@ -297,151 +326,4 @@ fn refuse_twins(raster: &Raster) -> Result<(), StageError> {
 }
 
 #[cfg(test)]
-mod tests {
-    use serde_json::json;
-
-    use super::*;
-    use rockface_core::artefact::{Artefact, Georeference, Grid, Transform};
-    use rockface_core::testing::{TestHost, run_stage};
-
-    fn file(name: &str, left_m: f64, values: Vec<f32>) -> (String, Vec<u8>) {
-        let grid = Grid { columns: 2, rows: 2, cell_m: 0.5, left_m, top_m: 1.0 };
-        let raster = Raster::single(grid, Frame::World, "elevation", "z", values);
-        (name.to_owned(), raster.encode().unwrap())
-    }
-
-    fn import(files: Vec<(String, Vec<u8>)>) -> Result<Raster, StageError> {
-        import_on(&mut TestHost::default(), files)
-    }
-
-    fn import_on(host: &mut TestHost, files: Vec<(String, Vec<u8>)>) -> Result<Raster, StageError> {
-        import_with(&json!({"path": "real"}), host, files)
-    }
-
-    fn import_with(
-        with: &serde_json::Value,
-        host: &mut TestHost,
-        files: Vec<(String, Vec<u8>)>,
-    ) -> Result<Raster, StageError> {
-        host.files.insert("real".into(), files);
-        let outputs = run_stage::<ImportRasters>(host, with, &[])?;
-        match &outputs.into_inner()["raster"] {
-            Artefact::Raster(raster) => Ok(raster.clone()),
-            other => panic!("{}", other.kind()),
-        }
-    }
-
-    #[test]
-    fn files_become_bands_in_their_order() {
-        let raster = import(vec![file("a.tif", 0.0, vec![1.0; 4]), file("b.x.tif", 1e-8, vec![2.0; 4])]).unwrap();
-        assert_eq!(raster.items().unwrap(), ["a", "b.x"]);
-        assert_eq!((raster.frame, raster.quantity.as_str()), (Frame::World, "difference"));
-        assert_eq!(raster.bands[1].values, [2.0; 4]);
-    }
-
-    #[test]
-    fn undeclared_no_data_and_millimetres_are_warned_of() {
-        let mut host = TestHost::default();
-        let files = vec![
-            file("good.tif", 0.0, vec![0.1, -0.2, 0.0, f32::NAN]),
-            file("holes.tif", 0.0, vec![0.1, -9999.0, -9999.0, 0.0]),
-            file("mm.tif", 0.0, vec![12.0, -7.0, 3.0, -1.0]),
-        ];
-        import_on(&mut host, files).unwrap();
-        let warnings = host.warnings();
-        assert_eq!(warnings.len(), 2, "{warnings:?}");
-        assert!(warnings[0].contains("`holes`: 2 cells") && warnings[0].contains("-a_nodata -9999 FILE"));
-        assert!(warnings[1].contains("`mm` by") && warnings[1].contains("millimetres"));
-    }
-
-    #[test]
-    fn values_beyond_the_limit_are_left_out_with_a_warning() {
-        let files = || {
-            vec![file("a.tif", 0.0, vec![0.04, -0.05, 0.0, f32::NAN]), file("b.tif", 0.0, vec![0.1, -0.051, 0.0, 0.02])]
-        };
-        let with = json!({"path": "real", "max_abs": 0.05});
-        let mut host = TestHost::default();
-        let raster = import_with(&with, &mut host, files()).unwrap();
-        assert_eq!(raster.bands[0].values[..3], [0.04, -0.05, 0.0]);
-        assert!(
-            raster.bands[1].values[..2].iter().all(|value| value.is_nan())
-                && raster.bands[1].values[2..] == [0.0, 0.02]
-        );
-        let warnings = host.warnings();
-        assert!(
-            warnings.len() == 1 && warnings[0].contains("2 cells (28.57 %)") && warnings[0].contains("2 of `b`"),
-            "{warnings:?}"
-        );
-        let all = vec![file("mm.tif", 0.0, vec![12.0, -7.0, 3.0, -1.0])];
-        let error = import_with(&with, &mut TestHost::default(), all).unwrap_err();
-        assert!(error.message.contains("every value of band `mm`"), "{error}");
-    }
-
-    #[test]
-    fn a_damaged_file_is_to_be_copied_again() {
-        let (name, mut bytes) = file("a.tif", 0.0, vec![1.0; 4]);
-        bytes.truncate(bytes.len() - 3);
-        let error = import(vec![(name, bytes)]).unwrap_err();
-        assert!(error.message.contains("copy it again") && error.hint.is_none(), "{error}");
-        assert!(import(vec![("x.txt".into(), b"hello".to_vec())]).unwrap_err().hint.is_some());
-    }
-
-    #[test]
-    fn each_fault_names_its_file() {
-        let message = |files| import(files).unwrap_err().message;
-        assert!(message(Vec::new()).contains("`real` names no file"));
-        assert!(message(vec![("x.txt".into(), b"hello".to_vec())]).contains("`x.txt`"));
-        assert!(message(vec![file("n.tif", 0.0, vec![f32::NAN; 4])]).contains("`n.tif`"));
-        let shifted = message(vec![file("a.tif", 0.0, vec![1.0; 4]), file("b.tif", 0.1, vec![1.0; 4])]);
-        assert!(shifted.contains("`a.tif`") && shifted.contains("`b.tif`"), "{shifted}");
-        let twins = message(vec![file("a.tif", 0.0, vec![1.0; 4]), file("a.tiff", 0.0, vec![1.0; 4])]);
-        assert!(twins.contains("`a`"), "{twins}");
-    }
-
-    /// A raster in a frame as GDAL would write it: without what our own files say beside the keys.
-    fn foreign(name: &str, frame: Frame) -> (String, Vec<u8>) {
-        let grid = Grid { columns: 2, rows: 2, cell_m: 0.5, left_m: 691_000.0, top_m: 5_334_000.0 };
-        let mut bytes = Raster::single(grid, frame, "elevation", "z", vec![300.0; 4]).encode().unwrap();
-        for item in [&b"\"FRAME\""[..], b"\"GEOREFERENCE\""] {
-            if let Some(at) = bytes.windows(item.len()).position(|window| window == item) {
-                bytes[at + 1] = b'X';
-            }
-        }
-        (name.to_owned(), bytes)
-    }
-
-    #[test]
-    fn a_code_that_is_not_known_is_no_wall_frame() {
-        let text = Frame::World.at(Some(Georeference::world("EPSG:2154".parse().unwrap()))).crs().unwrap().wkt();
-        let newer: crs::Crs = text.replace("\"2154\"", "\"9794\"").parse().unwrap();
-        let world = Frame::World.at(Some(Georeference::world(newer)));
-        let error = import(vec![foreign("new.tif", world)]).unwrap_err();
-        assert!(error.message.contains("EPSG:9794") && error.hint.unwrap().contains("well-known text"));
-        let with = json!({"path": "real", "crs": text, "quantity": "elevation"});
-        let raster = import_with(&with, &mut TestHost::default(), vec![foreign("new.tif", world)]).unwrap();
-        assert_eq!(raster.frame.crs().unwrap().epsg(), Some(2154));
-        // Our own files have the definition beside the code.
-        let own = Raster::single(raster.grid, world, "elevation", "z", vec![300.0; 4]).encode().unwrap();
-        let again = import(vec![("own.tif".into(), own)]).unwrap();
-        assert_eq!(again.frame.crs(), world.crs());
-    }
-
-    #[test]
-    fn rasters_of_two_wall_frames_are_not_put_together() {
-        let wall = |shift_m: f64| {
-            let wall_from_world =
-                Some(Transform { origin: [shift_m, 0.0, 0.0], ..Transform::identity("world", "wall") });
-            Frame::Wall.at(Some(Georeference { crs: None, wall_from_world }))
-        };
-        let file = |name: &str, frame: Frame| {
-            let grid = Grid { columns: 2, rows: 2, cell_m: 0.5, left_m: 0.0, top_m: 1.0 };
-            let raster = Raster::single(grid, frame, "elevation", "z", vec![1.0; 4]);
-            (name.to_owned(), raster.encode().unwrap())
-        };
-        let two = |second: Frame| import(vec![file("a.tif", wall(0.0)), file("b.tif", second)]);
-        assert!(two(wall(3.0)).unwrap_err().message.contains("two wall frames"));
-        let one = two(wall(0.0)).unwrap();
-        assert_eq!(one.frame.georeference(), wall(0.0).georeference());
-        assert!(two(Frame::Wall).is_ok());
-    }
-}
+mod tests;

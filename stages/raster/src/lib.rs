@@ -12,6 +12,7 @@ pub mod raster_surface;
 pub mod rasterise;
 pub mod rasterise_points;
 pub mod shape;
+pub mod strange_values;
 pub mod surface_cleaning;
 pub mod window;
 

@@ -62,7 +62,7 @@ fn sized(columns: f64, rows: f64, cell_m: f64, left_m: f64, top_m: f64) -> Resul
     if !(columns >= 1.0 && rows >= 1.0 && columns * rows <= MAXIMUM_CELLS) {
         fail!(
             "a grid of {columns:.3e} columns and {rows:.3e} rows of {cell_m:.3e} m has none or more than {MAXIMUM_CELLS:.1e} cells; is \
-             the surface in metres (`unit_m` of its importer)?"
+             the surface in metres (`unit_m` of its importer), and are there stray pieces or points far away from it (`min_piece_triangles`)?"
         );
     }
     Ok(Grid { columns: columns as usize, rows: rows as usize, cell_m, left_m, top_m })

@@ -29,6 +29,14 @@ impl CrsName {
     }
 }
 
+impl CrsName {
+    /// Whether coordinates in the system, and heights where it has them, are metres.
+    pub fn is_in_metres(&self) -> bool {
+        let is_metre = |unit: &Option<Unit>| unit.as_ref().is_none_or(Unit::is_metre);
+        self.stated().is_ok_and(|stated| is_metre(&stated.unit) && is_metre(&stated.vertical_unit))
+    }
+}
+
 impl ParamType for CrsName {
     fn kind() -> params::Kind {
         params::Kind::Text
@@ -132,10 +140,10 @@ pub fn wall_without_system(is_wall: bool) -> Option<Fault> {
 
 /// Decides by what the file states, what a `.prj` beside it states, and parameter `crs`.
 ///
-/// `first` is a point of the file, by which the UTM zone of a way out is found.
+/// `at` is a place in the file, by which the UTM zone of a way out is found.
 ///
 /// # Errors
-/// Degrees, geocentric coordinates, depths, and a map whose lengths at the first point are far from those on the ground; two statements that
+/// Degrees, geocentric coordinates, depths, and a map whose lengths at that place are far from those on the ground; two statements that
 /// contradict each other.
 pub fn settle(
     path: &str,
@@ -221,7 +229,7 @@ fn far_off(path: &str, stated: &Stated, [x, y, _]: [f64; 3]) -> Option<String> {
     let name = &stated.name;
     if x.abs() <= 180.0 && y.abs() <= 90.0 && false_x.abs().max(false_y.abs()) > LEAST_FALSE_M {
         return Some(format!(
-            "`{path}` has a point at {x}, {y}, which are degrees, or have lost a shift (`offset_m`), but is said to be in {name}"
+            "`{path}` has coordinates such as {x}, {y}, which are degrees, or have lost a shift (`offset_m`), but is said to be in {name}"
         ));
     }
     let projection = super::signature::projection(plane)?;
@@ -229,7 +237,7 @@ fn far_off(path: &str, stated: &Stated, [x, y, _]: [f64; 3]) -> Option<String> {
     let far = x_m.abs() > *farthest_m || y_m.abs() > QUARTER_M;
     far.then(|| {
         format!(
-            "`{path}` has a point at {x:.0}, {y:.0}, which lies {:.0} km to the east and {:.0} km to the north of the false origin of {name}: are easting \
+            "`{path}` has coordinates such as {x:.0}, {y:.0}, which lie {:.0} km to the east and {:.0} km to the north of the false origin of {name}: are easting \
              and northing swapped, or are the numbers those of another system?",
             1e-3 * x_m,
             1e-3 * y_m
@@ -260,21 +268,21 @@ fn check_scale(path: &str, stated: &Stated, scale: Scale, tool: Tool, context: &
         let to = utm_zone(Kind::Geographic, [longitude, latitude, 0.0]);
         let to = to.map_or_else(|| "EPSG:326NN".to_owned(), |code| format!("EPSG:{code}"));
         let text = format!(
-            "`{path}` is in {name}, a map whose lengths at the first point are {scale} times those on the ground; what is needed are metres on \
+            "`{path}` is in {name}, a map whose lengths at the site are {scale} times those on the ground; what is needed are metres on \
              the ground to the east and north"
         );
         let way = reprojected(path, &to, tool);
-        return Err(StageError::new(text).hint(format!("bring it to the UTM zone of its first point: {way}")));
+        return Err(StageError::new(text).hint(format!("bring it to the UTM zone of the site: {way}")));
     }
     if error > NOTABLE_ERROR {
         context.warn(format!(
-            "lengths in {name} are {scale} times those on the ellipsoid at the first point of `{path}`: volumes, sizes and distances are those \
+            "lengths in {name} are {scale} times those on the ellipsoid at the site of `{path}`: volumes, sizes and distances are those \
              on the map; a map of the site, such as its UTM zone, has lengths that are right to 0.1 %"
         ));
     }
     let side = if scale.convergence_deg < 0.0 { "west" } else { "east" };
     context.note(format!(
-        "lengths in {name} are {scale} times those on the ellipsoid at the first point of `{path}`, and grid north is {:.3} degrees to the {side} \
+        "lengths in {name} are {scale} times those on the ellipsoid at the site of `{path}`, and grid north is {:.3} degrees to the {side} \
          of true north",
         scale.convergence_deg.abs()
     ));
@@ -320,7 +328,7 @@ fn refusal(path: &str, who: &str, stated: &Stated, tool: Tool, first: Option<[f6
     }
     let zone = first.and_then(|first| utm_zone(stated.kind, first));
     let to = zone.map_or_else(|| "EPSG:326NN".to_owned(), |code| format!("EPSG:{code}"));
-    let of_place = if zone.is_some() { "the UTM zone of its first point" } else { "its UTM zone (NN)" };
+    let of_place = if zone.is_some() { "the UTM zone of the site" } else { "its UTM zone (NN)" };
     let command = reprojected(path, &to, tool);
     let text = format!(
         "`{path}` has {}, as {who} states; what is needed are metres on the ground to the east and north",

@@ -118,7 +118,7 @@ fn maps_of_the_world_are_refused_for_their_lengths() {
     for (code, [x, y]) in at_60 {
         let stated = Stated::from_epsg(code, None).unwrap();
         let error = settled(Some(stated), None, Some([x, y, 300.0])).0.unwrap_err();
-        assert!(error.message.contains("a map whose lengths at the first point are"), "EPSG:{code}: {error}");
+        assert!(error.message.contains("a map whose lengths at the site are"), "EPSG:{code}: {error}");
     }
     for method in ["Mollweide", "Robinson", "Sinusoidal", "Eckert_IV", "Interrupted_Goode_Homolosine", "Winkel_I"] {
         let text = esri("D_WGS_1984", [6_378_137.0, 298.257_223_563], method, &[("Central_Meridian", 0.0)]);

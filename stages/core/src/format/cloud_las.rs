@@ -1,5 +1,6 @@
 //! Point clouds as LAS and LAZ files.
 
+use std::collections::BTreeMap;
 use std::io::Cursor;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
@@ -19,6 +20,10 @@ pub struct Cloud {
     pub points: Vec<[f64; 3]>,
     /// Red, green and blue of each point; empty where the source has none.
     pub colours: Vec<[u8; 3]>,
+    /// Points by their class, those that were left out for their class as well; empty where the format has no classes.
+    pub classes: BTreeMap<u8, usize>,
+    /// Points that the file flags as withheld, which are left out and counted nowhere else.
+    pub withheld: usize,
     /// Sum of the normals of the points, in the frame of the file; zero where the source has none.
     pub normals: [f64; 3],
     /// The coordinate reference system that the file states.
@@ -43,12 +48,26 @@ const BATCH_BYTES: u64 = 1 << 23;
 
 /// Reads all points: `scale x integer + offset` in double precision, so nothing of the file is lost.
 ///
+/// Points that are flagged as withheld are left out (ASPRS: they are to be treated as deleted), all others are taken; see [`read_classes`].
+///
+/// # Errors
+/// What is damaged, or how many points of those promised are there; `cancelled` became true.
+pub fn read(bytes: Vec<u8>, cancelled: &dyn Fn() -> bool) -> Result<Cloud, CodecError> {
+    read_classes(bytes, &|_| true, cancelled)
+}
+
+/// The same of the points whose class is `wanted`.
+///
 /// Normals are those of extra dimensions that are called so; points whose normal is no number are left out of their sum.
 /// Colours of 16 bits keep their upper byte; some programs write 8 bits into them, which is seen by no value exceeding 255.
 ///
 /// # Errors
-/// What is damaged, or how many points of those promised are there; `cancelled` became true.
-pub fn read(mut bytes: Vec<u8>, cancelled: &dyn Fn() -> bool) -> Result<Cloud, CodecError> {
+/// What is damaged, or how many points of those promised are there; all points are withheld; `cancelled` became true.
+pub fn read_classes(
+    mut bytes: Vec<u8>,
+    wanted: &dyn Fn(u8) -> bool,
+    cancelled: &dyn Fn() -> bool,
+) -> Result<Cloud, CodecError> {
     let warnings: Vec<String> = mend_record_count(&mut bytes).into_iter().collect();
     check_header(&bytes)?;
     let unreadable = |e: las::Error| damaged(&format!("its header cannot be read ({e})"));
@@ -60,11 +79,11 @@ pub fn read(mut bytes: Vec<u8>, cancelled: &dyn Fn() -> bool) -> Result<Cloud, C
     // The decompressor panics on some damaged points.
     let points = catch_unwind(AssertUnwindSafe(|| {
         if header.point_format().is_compressed {
-            read_points(&header, unpacked(bytes, &header)?, cancelled)
+            read_points(&header, unpacked(bytes, &header)?, wanted, cancelled)
         } else {
             let mut reader = Reader::new(Cursor::new(bytes)).map_err(unreadable)?;
             let fill = |count, batch: &mut PointData| reader.fill_points(count, batch).map_err(|e| e.to_string());
-            read_points(&header, fill, cancelled)
+            read_points(&header, fill, wanted, cancelled)
         }
     }));
     let cloud = points.unwrap_or_else(|_| Err(damaged("its points cannot be decompressed")))?;
@@ -119,6 +138,7 @@ fn unpacked(
     header: &Header,
 ) -> Result<impl FnMut(u64, &mut PointData) -> Result<u64, String>, CodecError> {
     let fields = DecompressionSelection::base().decompress_z().decompress_rgb();
+    let fields = fields.decompress_classification().decompress_flags();
     let fields = if Normals::of(header).is_some() { fields.decompress_extra_bytes() } else { fields };
     let record = header.laz_vlr().map_err(|e| damaged(&format!("its LASzip record cannot be read ({e})")))?;
     let mut source = Cursor::new(bytes);
@@ -134,43 +154,90 @@ fn unpacked(
     })
 }
 
+/// Where flags and class of a point stand in its record, which depends on the format of points.
+#[derive(Debug, Clone, Copy)]
+struct Marks {
+    withheld_at: usize,
+    withheld_bit: u8,
+    class_at: usize,
+    class_bits: u8,
+}
+
+impl Marks {
+    /// Those of formats 6 to 10, and of 0 to 5, whose class and flags share a byte.
+    fn of(header: &Header) -> Self {
+        if header.point_format().is_extended {
+            Self { withheld_at: 15, withheld_bit: 1 << 2, class_at: 16, class_bits: u8::MAX }
+        } else {
+            Self { withheld_at: 15, withheld_bit: 1 << 7, class_at: 15, class_bits: 0b1_1111 }
+        }
+    }
+
+    fn is_withheld(self, record: &[u8]) -> bool {
+        record[self.withheld_at] & self.withheld_bit != 0
+    }
+
+    fn class(self, record: &[u8]) -> u8 {
+        record[self.class_at] & self.class_bits
+    }
+}
+
 fn read_points(
     header: &Header,
     mut fill: impl FnMut(u64, &mut PointData) -> Result<u64, String>,
+    wanted: &dyn Fn(u8) -> bool,
     cancelled: &dyn Fn() -> bool,
 ) -> Result<Cloud, CodecError> {
     let promised = header.number_of_points();
     let at_once = (BATCH_BYTES / u64::from(header.point_format().len()).max(1)).clamp(1, BATCH);
     let mut batch = PointDataBuilder::new().for_header(header).build();
-    let (mut points, mut colours, mut sum) = (Vec::new(), Vec::new(), [0.0; 3]);
-    let normals = Normals::of(header);
+    let (normals, marks) = (Normals::of(header), Marks::of(header));
+    let (mut cloud, mut colours) = (Cloud::default(), Vec::new());
+    let (mut total, mut counts, mut is_kept) = (0, [0usize; 256], Vec::new());
     loop {
         if cancelled() {
             return Err(CodecError::new("interrupted"));
         }
-        let read = fill(at_once, &mut batch).map_err(|why| cut_short(promised, points.len(), &why))?;
+        let read = fill(at_once, &mut batch).map_err(|why| cut_short(promised, total, &why))?;
         if read == 0 {
             break;
         }
-        for ((x, y), z) in batch.x().zip(batch.y()).zip(batch.z()) {
+        is_kept.clear();
+        for record in batch.raw_bytes().chunks_exact(batch.record_len()) {
+            let (is_withheld, class) = (marks.is_withheld(record), marks.class(record));
+            cloud.withheld += usize::from(is_withheld);
+            counts[usize::from(class)] += usize::from(!is_withheld);
+            is_kept.push(!is_withheld && wanted(class));
+        }
+        for (((x, y), z), is_kept) in batch.x().zip(batch.y()).zip(batch.z()).zip(&is_kept) {
             let place = [x, y, z];
             if !place.iter().all(|x| x.is_finite()) {
-                return Err(fault(&format!("point {} (counted from 0): {place:?} is not finite", points.len())));
+                return Err(fault(&format!("point {total} (counted from 0): {place:?} is not finite")));
             }
-            points.push(place);
+            cloud.points.extend(is_kept.then_some(place));
+            total += 1;
         }
         if let Some(normals) = normals {
-            for normal in batch.raw_bytes().chunks_exact(batch.record_len()).filter_map(|point| normals.read(point)) {
-                (0..3).for_each(|axis| sum[axis] += normal[axis]);
+            let records = batch.raw_bytes().chunks_exact(batch.record_len()).zip(&is_kept);
+            for normal in records.filter(|(_, is_kept)| **is_kept).filter_map(|(record, _)| normals.read(record)) {
+                (0..3).for_each(|axis| cloud.normals[axis] += normal[axis]);
             }
         }
-        colours.extend(batch.rgb().into_iter().flatten().map(<[u16; 3]>::from));
+        let coloured = batch.rgb().into_iter().flatten().zip(&is_kept).filter(|(_, is_kept)| **is_kept);
+        colours.extend(coloured.map(|(colour, _)| <[u16; 3]>::from(colour)));
     }
-    if (points.len() as u64) < promised {
-        return Err(cut_short(promised, points.len(), "the file ends"));
+    if (total as u64) < promised {
+        return Err(cut_short(promised, total, "the file ends"));
     }
-    let colours = if colours.len() == points.len() { to_bytes(&colours) } else { Vec::new() };
-    Ok(Cloud { points, colours, normals: sum, ..Cloud::default() })
+    if total > 0 && cloud.withheld == total {
+        return Err(fault(&format!("all its {total} points are flagged as withheld, which is to say deleted")));
+    }
+    if colours.len() == cloud.points.len() {
+        cloud.colours = to_bytes(&colours);
+    }
+    let of_class = (0u8..=u8::MAX).zip(counts).filter(|(_, count)| *count > 0);
+    cloud.classes = of_class.collect();
+    Ok(cloud)
 }
 
 fn to_bytes(colours: &[[u16; 3]]) -> Vec<[u8; 3]> {
@@ -202,6 +269,11 @@ mod tests {
     const FORMATS: [u8; 2] = [3, 7];
 
     fn written(format: u8, compressed: bool) -> Vec<u8> {
+        marked(format, compressed, |_| (0, false))
+    }
+
+    /// Points whose class and flag `withheld` are told by their number.
+    fn marked(format: u8, compressed: bool, mark: impl Fn(u16) -> (u8, bool)) -> Vec<u8> {
         let mut header = Builder::from((1, 4));
         header.point_format = las::point::Format::new(format).unwrap();
         header.point_format.is_compressed = compressed;
@@ -211,8 +283,10 @@ mod tests {
         for i in 0..2000u16 {
             let (x, y) = (451_000.0 + f64::from(i) * 0.001, 5_512_000.0 - f64::from(i) * 0.25);
             let color = Some(Color::new(i * 30, 256, 511));
+            let (class, is_withheld) = mark(i);
+            let classification = las::point::Classification::new(class).unwrap();
             let point = Point { x, y, z: f64::from(i % 7) * 0.013, color, gps_time: Some(0.0), ..Point::default() };
-            writer.write_point(point).unwrap();
+            writer.write_point(Point { classification, is_withheld, ..point }).unwrap();
         }
         writer.close().unwrap();
         writer.into_inner().unwrap().into_inner()
@@ -244,6 +318,22 @@ mod tests {
                 assert_eq!(*z, 0.001 * (13.0 * (i % 7.0)));
             }
             assert_eq!(cloud.colours[1999], [((1999u16 * 30) >> 8) as u8, 1, 1]);
+        }
+    }
+
+    #[test]
+    fn withheld_points_are_left_out_and_classes_are_told_apart() {
+        for (format, compressed) in FORMATS.into_iter().flat_map(|format| [(format, false), (format, true)]) {
+            let bytes = marked(format, compressed, |i| ([2, 5, 7, 18][usize::from(i % 4)], i % 10 == 3));
+            let all = read(bytes.clone()).unwrap();
+            assert_eq!((all.withheld, all.points.len(), all.colours.len()), (200, 1800, 1800), "{format} {compressed}");
+            assert_eq!(all.classes, BTreeMap::from([(2, 500), (5, 400), (7, 500), (18, 400)]));
+            let ground = read_classes(bytes, &|class| class == 2, &|| false).unwrap();
+            assert_eq!((ground.withheld, ground.points.len(), &ground.classes), (200, 500, &all.classes));
+            assert_eq!(ground.points[1][1], 0.001 * -1000.0 + 5_512_000.0);
+            assert_eq!(ground.colours[499], [((1996u16 * 30) >> 8) as u8, 1, 1]);
+            let message = read(marked(format, compressed, |_| (2, true))).unwrap_err().0;
+            assert!(message.contains("all its 2000 points are flagged as withheld"), "{message}");
         }
     }
 

@@ -14,8 +14,21 @@ pub use rockface_core::format::cloud_las::Cloud;
 /// # Errors
 /// The place at fault, as the reader of the format says it; `cancelled` became true.
 pub fn read(bytes: Vec<u8>, columns: Option<&[String]>, cancelled: &dyn Fn() -> bool) -> Result<Cloud, CodecError> {
+    read_classes(bytes, columns, &|_| true, cancelled)
+}
+
+/// The same of the points whose class is `wanted`, where the format has classes (LAS and LAZ).
+///
+/// # Errors
+/// As [`read`].
+pub fn read_classes(
+    bytes: Vec<u8>,
+    columns: Option<&[String]>,
+    wanted: &dyn Fn(u8) -> bool,
+    cancelled: &dyn Fn() -> bool,
+) -> Result<Cloud, CodecError> {
     if bytes.starts_with(b"LASF") {
-        return cloud_las::read(bytes, cancelled);
+        return cloud_las::read_classes(bytes, wanted, cancelled);
     }
     if bytes.starts_with(b"ply") {
         return read_ply(&bytes);
@@ -37,5 +50,5 @@ fn read_ply(bytes: &[u8]) -> Result<Cloud, CodecError> {
     let stated = frame.world_crs().map(Stated::of_crs);
     let sum = |sum: [f64; 3], normal: &[f32; 3]| [0, 1, 2].map(|axis| sum[axis] + f64::from(normal[axis]));
     let normals = normals.iter().fold([0.0; 3], sum);
-    Ok(Cloud { points, colours, normals, stated, frame: Some(frame), warnings: Vec::new() })
+    Ok(Cloud { points, colours, normals, stated, frame: Some(frame), ..Cloud::default() })
 }

@@ -1,24 +1,29 @@
 //! Point clouds as text: columns of numbers, as XYZ, TXT, CSV, ASC or PTS files have them.
 
 use super::cloud::Cloud;
-use super::column_marks::{Halves, number, numbers, shown, split};
+use super::column_marks::{Halves, number, numbers, shown};
+use super::separators::{Separator, without_brackets};
 use rockface_core::artefact::CodecError;
 use rockface_core::limits::Stop;
 
 /// Reads a point a line, columns set apart by blanks, commas or semicolons. Commas are decimal marks where blanks or semicolons
 /// separate the columns.
 ///
+/// Where semicolons, tabs or commas separate the names of a header, or the first line of numbers, they alone do in all lines: fields may be
+/// empty, and stand in quotes. A coordinate has to be there; without a colour or normal a point has none.
+///
 /// Columns are those named by the caller; else by a header line (with or without `#` or `//` before it); else x, y and z
 /// come first, and a following three columns are a colour where all their values are whole numbers from 0 to 255. Known
-/// names are `x y z`, `easting northing` with `height` or `elevation`, `r g b` and `red green blue`, and `nx ny nz`, in either case; other
-/// columns are skipped, and so are lines that begin with `#` or `//`, a first line that holds nothing but the number of
-/// points, and a header where the caller names the columns.
+/// names are `x y z`, `easting northing` or `e n` with `height`, `elevation`, `elev` or `rl`, `r g b` and `red green blue`, and `nx ny nz`, in
+/// either case and with or without a unit in brackets; other columns are skipped, and so are lines that begin with `#` or `//`, a first line
+/// that holds nothing but the number of points, and a header where the caller names the columns.
 ///
 /// # Errors
 /// The line at fault: a header without x, y and z, another number of columns than before, a word that is no number, a
 /// coordinate that is not finite, commas that may be separators as well as decimal marks; `cancelled` became true.
 pub fn read(bytes: &[u8], columns: Option<&[String]>, cancelled: &dyn Fn() -> bool) -> Result<Cloud, CodecError> {
     let text = std::str::from_utf8(bytes).map_err(|e| CodecError(format!("byte {} is not text", e.valid_up_to())))?;
+    let text = text.strip_prefix('\u{feff}').unwrap_or(text);
     let mut reader = Columns::default();
     if let Some(names) = columns {
         reader.name(&names.iter().map(String::as_str).collect::<Vec<_>>()).map_err(CodecError)?;
@@ -45,6 +50,12 @@ struct Columns {
     /// Whether the caller does.
     is_given: bool,
     count: Option<usize>,
+    /// What separates the names of the header.
+    header: Option<Separator>,
+    /// What separates the columns of points.
+    separator: Option<Separator>,
+    /// Points whose colour is empty though a name says that they have one.
+    without_colour: usize,
     halves: Halves,
     cloud: Cloud,
 }
@@ -52,15 +63,27 @@ struct Columns {
 impl Columns {
     fn line(&mut self, line: &str) -> Result<(), String> {
         let comment = line.trim_start().strip_prefix('#').or_else(|| line.trim_start().strip_prefix("//"));
-        if self.cloud.points.is_empty() || comment.is_some() {
-            let words: Vec<&str> = split(comment.unwrap_or(line)).collect();
-            if self.is_no_point(&words, comment.is_some())? {
-                return Ok(());
-            }
-        }
-        let words = numbers(line)?;
-        if words.is_empty() {
+        if (self.cloud.points.is_empty() || comment.is_some())
+            && self.is_no_point(comment.unwrap_or(line), comment.is_some())?
+        {
             return Ok(());
+        }
+        if line.trim().is_empty() {
+            return Ok(());
+        }
+        let separator = match self.separator {
+            Some(separator) => separator,
+            None => Separator::of_rows(line, self.header, self.count)?,
+        };
+        self.separator = Some(separator);
+        let mut words = if separator == Separator::Blanks { numbers(line)? } else { separator.fields(line) };
+        if words.iter().all(|word| word.is_empty()) {
+            return Ok(());
+        }
+        // Some programs end each line with a separator.
+        let count = self.count.unwrap_or(words.len());
+        while words.len() > count && words.last().is_some_and(|word| word.is_empty()) {
+            words.pop();
         }
         if !self.is_named {
             self.halves.see(line, &words);
@@ -69,18 +92,41 @@ impl Columns {
     }
 
     /// Takes the names of a header; whether a comment, or a line before the first point, is no point.
-    fn is_no_point(&mut self, words: &[&str], is_comment: bool) -> Result<bool, String> {
+    fn is_no_point(&mut self, line: &str, is_comment: bool) -> Result<bool, String> {
+        let bare = without_brackets(line);
+        let separator = Separator::of_header(&bare);
+        let words = separator.fields(&bare);
         let is_number = |word: &&str| number(word).is_ok();
         let is_first = self.cloud.points.is_empty();
         let may_name = is_first && self.places.is_none() && !words.iter().all(is_number);
-        if may_name && self.name(words).is_ok() || is_comment || words.len() < 2 {
+        if may_name && self.name_as(separator, &words).is_ok() {
+            return Ok(true);
+        }
+        if is_comment || words.iter().filter(|word| !word.is_empty()).count() < 2 {
+            return Ok(true);
+        }
+        // Commas may separate the coordinates of a header and blanks the rest.
+        let blanks = Separator::Blanks;
+        if may_name && separator != blanks && self.name_as(blanks, &blanks.fields(&bare)).is_ok() {
             return Ok(true);
         }
         if words.iter().any(is_number) {
             return Ok(false);
         }
         // A header repeats the names that the caller gave, or names no x, y and z.
-        if self.is_given { Ok(true) } else { self.name(words).map(|()| true).map_err(|fault| no_coordinates(&fault)) }
+        if self.is_given {
+            self.header = Some(separator);
+            return Ok(true);
+        }
+        self.name(&words).map(|()| true).map_err(|fault| no_coordinates(&fault))
+    }
+
+    /// Takes the names of a header that are separated so.
+    fn name_as(&mut self, separator: Separator, words: &[&str]) -> Result<(), String> {
+        let count = words.iter().rposition(|word| !word.is_empty()).map_or(0, |last| last + 1);
+        self.name(&words[..count])?;
+        self.header = Some(separator);
+        Ok(())
     }
 
     fn name(&mut self, words: &[&str]) -> Result<(), String> {
@@ -89,8 +135,8 @@ impl Columns {
         // Of several names for one the first of the list is taken.
         let place = |known: &[&str]| known.iter().find_map(|known| names.iter().position(|name| name == known));
         let all = |a: Option<usize>, b: Option<usize>, c: Option<usize>| Some([a?, b?, c?]);
-        let (x, y) = (place(&["x", "x_m", "easting"]), place(&["y", "y_m", "northing"]));
-        let places = all(x, y, place(&["z", "z_m", "height", "elevation"]))
+        let (x, y) = (place(&["x", "x_m", "easting", "e"]), place(&["y", "y_m", "northing", "n"]));
+        let places = all(x, y, place(&["z", "z_m", "height", "elevation", "elev", "rl"]))
             .ok_or_else(|| format!("columns x, y and z are needed, but the names are `{}`", words.join(" ")))?;
         let colours = all(place(&["r", "red"]), place(&["g", "green"]), place(&["b", "blue"]));
         self.normals = all(place(&["nx"]), place(&["ny"]), place(&["nz"]));
@@ -108,7 +154,12 @@ impl Columns {
             } else {
                 ""
             };
-            return Err(format!("`{}` has {} columns, but {} are needed{way}", shown(line), words.len(), count.max(3)));
+            let needed = match (self.is_given, self.is_named) {
+                (true, _) => format!("`columns` names {count}"),
+                (_, true) => format!("its header names {count}"),
+                _ => format!("{} are needed", count.max(3)),
+            };
+            return Err(format!("`{}` has {} columns, but {needed}{way}", shown(line), words.len()));
         }
         if self.places.is_none() {
             self.guessed = count >= 6;
@@ -117,6 +168,9 @@ impl Columns {
         let Some((places, colours)) = self.places else { return Ok(()) };
         let mut place = [0.0f64; 3];
         for (value, column) in place.iter_mut().zip(places) {
+            if words[column].is_empty() {
+                return Err(format!("a coordinate of `{}` is empty", shown(line)));
+            }
             *value = number(words[column])?;
             if !value.is_finite() {
                 return Err(format!("the coordinate {value} is not finite"));
@@ -126,7 +180,12 @@ impl Columns {
         for (sum, column) in self.cloud.normals.iter_mut().zip(self.normals.into_iter().flatten()) {
             *sum += number(words[column]).ok().filter(|value| value.is_finite()).unwrap_or(0.0);
         }
-        match colours.map(|columns| colour(columns.map(|column| words[column]))) {
+        let colours = colours.map(|columns| columns.map(|column| words[column]));
+        if !self.guessed && colours.is_some_and(|words| words.contains(&"")) {
+            self.without_colour += 1;
+            return Ok(());
+        }
+        match colours.map(colour) {
             Some(Ok(colour)) => self.cloud.colours.push(colour),
             Some(Err(_)) if self.guessed => self.places = Some((places, None)),
             Some(Err(message)) => return Err(message),
@@ -141,6 +200,10 @@ impl Columns {
             return Err(doubt);
         }
         if self.cloud.colours.len() != self.cloud.points.len() {
+            if self.without_colour > 0 {
+                let text = format!("{} points have no colour: colours are left out", self.without_colour);
+                self.cloud.warnings.push(text);
+            }
             self.cloud.colours.clear();
         }
         Ok(self.cloud)
@@ -223,6 +286,44 @@ mod tests {
         assert_eq!(read(b"Rechts;Hoch;Hoehe\n1;2;3\n", Some(&names)).unwrap().points, [[1.0, 2.0, 3.0]]);
         // A height above ground beside z is none of the coordinates.
         assert_eq!(cloud("x,y,height,z\n1,2,9,3\n").points, [[1.0, 2.0, 3.0]]);
+    }
+
+    #[test]
+    fn fields_may_be_empty_quoted_and_called_otherwise() {
+        let expected = [[451_252.07, 5_512_343.531, 591.5], [451_257.0, 5_512_347.0, 585.0]];
+        for text in [
+            "\u{feff}Point ID,Easting,Northing,RL,Code\r\nP1,451252.070,5512343.531,591.5,ROCK\r\nP2,451257,5512347,585,\r\n",
+            "PointID,E,N,Elev,Code,Note\n0,451252.070,5512343.531,591.5,,x\n1,451257,5512347,585,weathered rock,\n",
+            "\"X\",\"Y\",\"Z\",\"I\"\n\"451252.070\",\"5512343.531\",\"591.5\",\"12\"\n\"451257\",\"5512347\",\"585\",\"\"\n",
+            "X [m];Y [m];Z [m]\n451252,070;5512343,531;591,5\n451257;5512347;585\n;;\n",
+            "Easting (m) Northing (m) Elevation (m)\n451252.070 5512343.531 591.5\n451257 5512347 585\n",
+            "X, Y, Z,\n451252.070, 5512343.531, 591.5,\n451257, 5512347, 585\n,,\n\n",
+            ",x,y,z\n0,451252.070,5512343.531,591.5\n1,451257,5512347,585\n",
+            "//X,Y,Z\n2\n451252.070 5512343.531 591.5\n451257 5512347 585\n",
+            "X,Y,Z R G B\n451252.070,5512343.531,591.5 1 2 3\n451257.0,5512347.0,585.0 1 2 3\n",
+            "X,Y,Z\n451252,070 5512343,531 591,5\n451257,0 5512347 585\n",
+        ] {
+            assert_eq!(cloud(text).points, expected, "{text}");
+        }
+        let given = ["id", "x", "y", "z", "code"].map(str::to_owned);
+        let text = "Nr,East,North,Up,Code\nP1,451252.070,5512343.531,591.5,weathered rock\nP2,451257,5512347,585,\n";
+        assert_eq!(read(text.as_bytes(), Some(&given)).unwrap().points, expected);
+        let coloured = cloud("x,y,z,r,g,b\n1,2,3,4,5,6\n1,2,4,,,\n");
+        assert!(coloured.colours.is_empty() && coloured.points.len() == 2);
+        assert_eq!(coloured.warnings, ["1 points have no colour: colours are left out"]);
+    }
+
+    #[test]
+    fn more_values_than_names_and_empty_coordinates_are_faults() {
+        let fault = |text: &str| read(text.as_bytes(), None).unwrap_err().0;
+        let shifted = fault("Point ID,Easting,Northing,Elevation\n0,451252.070,5512343.531,591.513,12\n");
+        assert!(
+            shifted.starts_with("line 2: ") && shifted.contains("has 5 columns, but its header names 4"),
+            "{shifted}"
+        );
+        assert!(fault("x,y,z\n1,2,3\n1,,3\n").contains("line 3: a coordinate of `1,,3` is empty"));
+        let given = ["x", "y", "z"].map(str::to_owned);
+        assert!(read(b"1,2,3,4\n", Some(&given)).unwrap_err().0.contains("`columns` names 3"));
     }
 
     #[test]

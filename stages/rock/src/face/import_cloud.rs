@@ -6,7 +6,7 @@ use crate::face::cloud;
 use crate::face::cloud::Cloud;
 use crate::face::sheet;
 use crate::face::sheet::{Made, Rules, SheetPlane};
-use crate::face::{placing, rounding};
+use crate::face::{placing, point_classes, rounding};
 use rockface_core::artefact::{Frame, Kind};
 use rockface_core::crs::{CrsName, Stated, Tool, settle, wall_without_system};
 use rockface_core::params::{Fault, GeoFileRef, Range};
@@ -40,13 +40,16 @@ params! {
         frame: CloudFrame = CloudFrame::World,
         /// The coordinate reference system of a file that states none, itself or in a `.prj` beside it: `EPSG:28356`.
         crs: Option<CrsName> = None,
-        /// Metres of a unit of the file's coordinates: 0.001 for millimetres. A file that states a coordinate reference system states its unit.
+        /// Metres of a unit of the file's coordinates: 0.001 for millimetres. A file that states a coordinate reference system states its unit;
+        /// with `crs`, coordinates times `unit_m` plus `offset_m` are metres in that system.
         unit_m: f64 = 1.0; Range::Positive,
         /// Added to every point in double precision, metres: brings a file with shifted coordinates back.
         offset_m: [f64; 3] = [0.0; 3],
         /// Names of the columns of a text file, such as `[x, y, z, intensity, red, green, blue]`, which hold instead of those in
         /// its header; left out, those of the header, or x, y and z come first.
         columns: Option<Vec<String>> = None,
+        /// Classes of points to keep, by their ASPRS numbers: `[2]` for ground alone. LAS and LAZ files only; left out, all but noise (7 and 18).
+        classes: Option<Vec<u32>> = None,
         /// A direction out of the rock in the frame of the file; left out, Z in the wall frame, and in the world where the normals of the points show,
         /// or else up.
         outward: Option<[f64; 3]> = None,
@@ -67,7 +70,7 @@ pub struct ImportCloud;
 impl Stage for ImportCloud {
     type Params = ImportCloudParams;
     const NAME: &'static str = "import-cloud";
-    const VERSION: u32 = 5;
+    const VERSION: u32 = 6;
     const PAGE: Page = Page::new(include_str!("import_cloud.md"));
     const INPUTS: &'static [Port] = &[];
     const OUTPUTS: &'static [Port] = &[Port::one("mesh", &[Kind::Mesh], "The mesh, in the frame of the file.")];
@@ -76,16 +79,20 @@ impl Stage for ImportCloud {
         let zero = params.outward.is_some_and(|outward| Vector3::from(outward).norm() == 0.0);
         let fault = || Fault { path: vec!["outward".into()], ..Fault::new("a direction cannot be zero") };
         let on_wall = params.crs.as_ref().and_then(|_| wall_without_system(params.frame == CloudFrame::Wall));
-        let two_units = placing::two_units(params.unit_m, params.crs.is_some());
-        zero.then(fault).into_iter().chain(on_wall).chain(two_units).collect()
+        let two_units = placing::unit_beside_system(params.unit_m, params.crs.as_ref());
+        let classes = point_classes::fault(params.classes.as_deref()).map(|text| Fault::new(text).below("classes"));
+        zero.then(fault).into_iter().chain(on_wall).chain(two_units).chain(classes).collect()
     }
 
     fn run(params: &Self::Params, _inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
         let path = &params.path.0;
         let (bytes, system) = context.read_georeferenced(&params.path)?;
         let tool = if bytes.starts_with(b"LASF") { Tool::Pdal } else { Tool::Other };
-        let cloud = cloud::read(bytes, params.columns.as_deref(), &|| context.cancelled());
+        let listed = params.classes.as_deref();
+        let wanted = |class: u8| point_classes::is_kept(listed, class);
+        let cloud = cloud::read_classes(bytes, params.columns.as_deref(), &wanted, &|| context.cancelled());
         let mut cloud = cloud.map_err(|e| StageError::new(format!("cannot read `{path}`: {e}")))?;
+        check_classes(&cloud, params, context)?;
         if cloud.points.len() < 3 {
             fail!("`{path}` has {} points, a mesh needs at least three", cloud.points.len());
         }
@@ -119,6 +126,33 @@ impl Stage for ImportCloud {
     }
 }
 
+/// Says which points were left out for what the file marks them as.
+///
+/// # Errors
+/// Classes are listed and the file has none, or no point is of them.
+fn check_classes(cloud: &Cloud, params: &ImportCloudParams, context: &Context) -> Result<(), StageError> {
+    let (path, listed) = (&params.path.0, params.classes.as_deref());
+    if listed.is_some() && cloud.classes.is_empty() {
+        fail!(
+            "`classes` chooses points of LAS and LAZ files, and `{path}` is of another format, without classes; leave it out"
+        );
+    }
+    let left_out = point_classes::left_out(&cloud.classes, listed);
+    context.metric("dropped_withheld_points", cloud.withheld as f64, "1");
+    context.metric("dropped_class_points", left_out as f64, "1");
+    if cloud.withheld > 0 {
+        context.note(format!("{} points are flagged as withheld and left out", cloud.withheld));
+    }
+    let described = point_classes::described(&cloud.classes, listed);
+    if cloud.points.is_empty() && left_out > 0 {
+        let text = format!("no point of `{path}` is of a class that is kept: {}", described.unwrap_or_default());
+        return Err(StageError::new(text).hint("list the classes to keep, such as `classes: [1, 2]`"));
+    }
+    described.into_iter().for_each(|text| context.note(text));
+    point_classes::vegetation(&cloud.classes, listed).into_iter().for_each(|text| context.warn(text));
+    Ok(())
+}
+
 /// The frame of the cloud, and its points in metres.
 fn framed(
     cloud: &mut Cloud,
@@ -131,9 +165,10 @@ fn framed(
         return Ok(own.unwrap_or(Frame::Wall));
     }
     let stated = [cloud.stated.take(), prj.map(Stated::of_prj)];
-    let first = placing::first(&cloud.points, params.offset_m);
-    let settled = settle(&params.path.0, stated, params.crs.as_ref(), (tool, first), context)?;
-    placing::check_unit(&params.path.0, params.unit_m, &settled)?;
+    placing::check_unit(&params.path.0, params.unit_m, &stated)?;
+    let middle = placing::middle(cloud.points.iter().copied(), params.offset_m);
+    let settled = settle(&params.path.0, stated, params.crs.as_ref(), (tool, middle), context)?;
+    placing::height_warning(middle.map(|middle| settled.point(middle))).into_iter().for_each(|text| context.warn(text));
     placing::warning(&settled, &cloud.points).into_iter().for_each(|text| context.warn(text));
     if !settled.keeps_coordinates() {
         cloud.points.iter_mut().for_each(|point| *point = settled.point(*point));

@@ -5,7 +5,7 @@ use nalgebra::Vector3;
 use crate::face::inspection::{Found, Inspection};
 use crate::face::repair;
 use crate::face::repair::Repaired;
-use crate::face::{mesh_file, orient, placing, rounding};
+use crate::face::{mesh_file, orient, placing, rounding, stray};
 use rockface_core::artefact::{Frame, Kind, Mesh};
 use rockface_core::crs::{CrsName, Stated, Tool, settle, wall_without_system};
 use rockface_core::params::{Fault, GeoFileRef, Range};
@@ -59,7 +59,8 @@ params! {
         frame: FileFrame = FileFrame::World,
         /// The coordinate reference system of a file that states none, itself or in a `.prj` beside it: `EPSG:28356`.
         crs: Option<CrsName> = None,
-        /// Metres of a unit of the file's coordinates: 0.001 for millimetres. A file that states a coordinate reference system states its unit.
+        /// Metres of a unit of the file's coordinates: 0.001 for millimetres. A file that states a coordinate reference system states its unit;
+        /// with `crs`, coordinates times `unit_m` plus `offset_m` are metres in that system.
         unit_m: f64 = 1.0; Range::Positive,
         /// Added to every vertex in double precision, metres: brings a file with shifted coordinates back.
         offset_m: [f64; 3] = [0.0; 3],
@@ -88,7 +89,7 @@ impl Stage for ImportMesh {
 
     fn check(params: &Self::Params) -> Vec<Fault> {
         let on_wall = params.crs.as_ref().and_then(|_| wall_without_system(params.frame == FileFrame::Wall));
-        let two_units = placing::two_units(params.unit_m, params.crs.is_some());
+        let two_units = placing::unit_beside_system(params.unit_m, params.crs.as_ref());
         let mut faults: Vec<Fault> = on_wall.into_iter().chain(two_units).collect();
         if params.outward.is_some_and(|outward| Vector3::from(outward).norm() == 0.0) {
             faults.push(Fault { path: vec!["outward".into()], ..Fault::new("a direction cannot be zero") });
@@ -134,9 +135,13 @@ fn framed(
         return Ok(Frame::Wall.at(mesh.frame.georeference().filter(|_| mesh.frame == Frame::Wall).cloned()));
     }
     let own = mesh.frame.world_crs().map(Stated::of_crs);
-    let about = (Tool::Other, placing::first(&mesh.vertices, params.offset_m));
-    let settled = settle(&params.path.0, [own, prj.map(Stated::of_prj)], params.crs.as_ref(), about, context)?;
-    placing::check_unit(&params.path.0, params.unit_m, &settled)?;
+    let stated = [own, prj.map(Stated::of_prj)];
+    placing::check_unit(&params.path.0, params.unit_m, &stated)?;
+    // Vertices that no triangle uses are no part of the face.
+    let corners = mesh.triangles.iter().map(|corners| mesh.vertices[corners[0] as usize]);
+    let middle = placing::middle(corners, params.offset_m);
+    let settled = settle(&params.path.0, stated, params.crs.as_ref(), (Tool::Other, middle), context)?;
+    placing::height_warning(middle.map(|middle| settled.point(middle))).into_iter().for_each(|text| context.warn(text));
     placing::warning(&settled, &mesh.vertices).into_iter().for_each(|text| context.warn(text));
     if !settled.keeps_coordinates() {
         mesh.vertices.iter_mut().for_each(|vertex| *vertex = settled.point(*vertex));
@@ -298,6 +303,17 @@ fn report(mesh: &Mesh, (repaired, turned): (&Repaired, usize), found: &Inspectio
     }
     if turned > 0 {
         context.note(format!("turned {turned} triangles over"));
+    }
+    if let Some(far) = stray::stray(mesh) {
+        context.warn(format!(
+            "{} triangles lie far from all others, the farthest corner at {}, {:.0} m from the middle of the face, of which 99 % lie within {:.1} m: \
+             they bend the plane that `transform-crs` fits and stretch grids; `min_piece_triangles` drops small pieces, and `plane: robust` of \
+             `transform-crs` fits the plane without them",
+            far.triangles,
+            place(far.place),
+            far.distance_m,
+            far.extent_m
+        ));
     }
     warn_of_what_stays(found, context);
 }

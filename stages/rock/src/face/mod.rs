@@ -12,12 +12,15 @@ pub mod mesh_file;
 pub mod obj;
 pub mod orient;
 pub mod placing;
+pub mod point_classes;
 pub mod relief;
 pub mod repair;
 pub mod rounding;
 pub mod safe_zone;
+pub mod separators;
 pub mod sheet;
 pub mod stl;
+pub mod stray;
 pub mod tetrahedra;
 
 // A new stage is its file, its `mod` here and its row below.

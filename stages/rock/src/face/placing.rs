@@ -1,6 +1,7 @@
 //! What parameters of the importers do to the coordinates of a file: their unit, and a shift.
 
-use rockface_core::crs::Settled;
+use rockface_core::crs::{CrsName, Kind, Settled, Stated};
+use rockface_core::numerics::quantile;
 use rockface_core::params::Fault;
 use rockface_core::{StageError, fail};
 
@@ -18,9 +19,32 @@ pub fn shift(points: &mut [[f64; 3]], offset_m: [f64; 3]) {
     }
 }
 
-/// The first point with its shift, which tells whether the file can be in a system.
-pub fn first(points: &[[f64; 3]], offset_m: [f64; 3]) -> Option<[f64; 3]> {
-    points.first().map(|point| std::array::from_fn(|axis| point[axis] + offset_m[axis]))
+/// Points whose median is taken, at most.
+const SAMPLE: usize = 10_000;
+
+/// A place in the middle of the points with its shift, which tells whether the file can be in a system: the median of each coordinate, so
+/// no point far from all others, such as one at 0, 0, 0, decides.
+pub fn middle(points: impl ExactSizeIterator<Item = [f64; 3]>, offset_m: [f64; 3]) -> Option<[f64; 3]> {
+    let step = points.len().div_ceil(SAMPLE).max(1);
+    let sample: Vec<[f64; 3]> = points.step_by(step).collect();
+    let mut middle = [0.0; 3];
+    for axis in 0..3 {
+        let mut values: Vec<f64> = sample.iter().map(|point| point[axis]).collect();
+        middle[axis] = quantile::median(&mut values)? + offset_m[axis];
+    }
+    Some(middle)
+}
+
+/// No face of the Earth is as high, metres.
+const HIGHEST_M: f64 = 10_000.0;
+
+/// What there is to say where heights are none of a face: columns in another order, or another unit.
+pub fn height_warning(middle: Option<[f64; 3]>) -> Option<String> {
+    let [_, _, z] = middle.filter(|[_, _, z]| z.abs() > HIGHEST_M)?;
+    Some(format!(
+        "the median of Z is {z:.0}, and no face is as high in metres: are X, Y and Z other columns (`columns` of `import-cloud`), or is the \
+         unit another one (`unit_m`)?"
+    ))
 }
 
 /// Widest face in degrees: some kilometres.
@@ -55,15 +79,21 @@ fn is_given(unit_m: f64) -> bool {
     unit_m.to_bits() != 1f64.to_bits()
 }
 
-/// The fault of a unit beside a coordinate reference system, which has one of its own.
-pub fn two_units(unit_m: f64, has_crs: bool) -> Option<Fault> {
-    let text = "a coordinate reference system has a unit of its own; leave `unit_m` out, or `crs`";
-    (is_given(unit_m) && has_crs).then(|| Fault::new(text).below("unit_m"))
+/// The fault of a unit beside a coordinate reference system in another unit than metres: `unit_m` makes metres of the file's coordinates.
+pub fn unit_beside_system(unit_m: f64, crs: Option<&CrsName>) -> Option<Fault> {
+    let crs = crs.filter(|crs| is_given(unit_m) && !crs.is_in_metres())?;
+    let text = format!(
+        "with `unit_m` the coordinates become metres, and `{}` is a system in another unit; give the system in metres, or leave `unit_m` out",
+        crs.0
+    );
+    Some(Fault::new(text).below("unit_m"))
 }
 
-/// Refuses a unit for a file that states one itself.
-pub fn check_unit(path: &str, unit_m: f64, settled: &Settled) -> Result<(), StageError> {
-    if is_given(unit_m) && *settled != Settled::metres() {
+/// Refuses a unit for a file that states one itself, or beside it in a `.prj`.
+pub fn check_unit(path: &str, unit_m: f64, stated: &[Option<Stated>; 2]) -> Result<(), StageError> {
+    let states_unit =
+        |stated: &Stated| stated.kind != Kind::Local || stated.unit.as_ref().is_some_and(|unit| !unit.is_metre());
+    if is_given(unit_m) && stated.iter().flatten().any(states_unit) {
         fail!("`{path}` states the system and the unit of its coordinates; leave `unit_m` out");
     }
     Ok(())
@@ -72,6 +102,20 @@ pub fn check_unit(path: &str, unit_m: f64, settled: &Settled) -> Result<(), Stag
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_middle_is_where_most_points_are() {
+        let face = (0..30_000).map(|i| [451_000.0 + f64::from(i % 10), 5_512_000.0, f64::from(i % 7)]);
+        let stray: Vec<[f64; 3]> = [[0.0; 3]].into_iter().chain(face).chain([[1e7; 3]]).collect();
+        let [x, y, z] = middle(stray.iter().copied(), [10.0, 0.0, 600.0]).unwrap();
+        assert!(
+            (x - 451_014.5).abs() < 1.0 && (y - 5_512_000.0).abs() < 1e-6 && (z - 603.0).abs() < 1.0,
+            "{x} {y} {z}"
+        );
+        assert_eq!(middle([].into_iter(), [0.0; 3]), None);
+        assert_eq!((height_warning(Some([x, y, z])), height_warning(None)), (None, None));
+        assert!(height_warning(Some([7.0, x, y])).unwrap().contains("Z is 5512000"));
+    }
 
     #[test]
     fn degrees_with_heights_in_metres_are_told_from_walls() {

@@ -5,6 +5,7 @@ use serde_json::json;
 use super::*;
 use crate::face::inspection::Inspection;
 use rockface_core::artefact::{Mesh, Noun};
+use rockface_core::params::ParamType;
 use rockface_core::testing::{TestHost, run_stage, shared};
 
 fn import(bytes: &[u8], extra: &serde_json::Value) -> (Result<Mesh, StageError>, TestHost) {
@@ -80,6 +81,82 @@ fn normals_tell_the_side_of_an_overhang_and_without_them_it_is_warned() {
     assert!(!import(text.as_bytes(), &json!({})).1.warnings().is_empty());
     let (mesh, host) = import(overhang("").as_bytes(), &json!({"outward": [0, 1, 0]}));
     assert!(north(&mesh.unwrap()) > 3.0 && host.warnings().is_empty());
+}
+
+/// The wall as LAS, each point with a class and perhaps withheld, a noise point of class 7 far before it.
+fn classified(mark: impl Fn(usize) -> (u8, bool)) -> Vec<u8> {
+    let text = wall();
+    let lines: Vec<&str> = text.lines().collect();
+    // Points of 20 bytes after a header of 227, as format 0 of LAS 1.2 has them.
+    let mut bytes = b"LASF".to_vec();
+    bytes.resize(227, 0);
+    (bytes[24], bytes[25], bytes[94], bytes[96], bytes[105]) = (1, 2, 227, 227, 20);
+    bytes[107..111].copy_from_slice(&(lines.len() as u32 + 1).to_le_bytes());
+    for (axis, offset) in [451_000.0f64, 0.0, 0.0].into_iter().enumerate() {
+        bytes[131 + 8 * axis..][..8].copy_from_slice(&0.001f64.to_le_bytes());
+        bytes[155 + 8 * axis..][..8].copy_from_slice(&offset.to_le_bytes());
+    }
+    let mut point = |place: [f64; 3], (class, is_withheld): (u8, bool)| {
+        let of = |x: f64| ((x * 1000.0).round() as i32).to_le_bytes();
+        let mut record = place.map(of).concat();
+        record.resize(20, 0);
+        record[15] = class | u8::from(is_withheld) << 7;
+        bytes.extend(record);
+    };
+    for (i, line) in lines.iter().enumerate() {
+        let words: Vec<f64> = line.split(' ').take(3).map(|word| word.parse().unwrap()).collect();
+        point([words[0] - 451_000.0, words[1], words[2]], mark(i));
+    }
+    point([1.0, 3.0, 1.0], (7, false));
+    bytes
+}
+
+#[test]
+fn withheld_points_and_noise_are_no_rock() {
+    let bytes = classified(|i| (2, i < 20));
+    let (mesh, host) = import(&bytes, &json!({"outward": [0, 1, 0]}));
+    assert_eq!(mesh.unwrap().vertices.len(), 380);
+    let metric = |name| host.metric(name).unwrap() as usize;
+    assert_eq!((metric("points"), metric("dropped_withheld_points"), metric("dropped_class_points")), (380, 20, 1));
+    assert!(host.warnings().is_empty(), "{:?}", host.warnings());
+    let all = import(&classified(|_| (2, true)), &json!({})).0.unwrap_err();
+    assert!(all.message.contains("no point of `cloud` is of a class that is kept"), "{all}");
+}
+
+#[test]
+fn classes_to_keep_are_listed_and_vegetation_is_warned_of() {
+    let bytes = classified(|i| (if i < 40 { 4 } else { 2 }, false));
+    let outward = json!([0, 1, 0]);
+    let (mesh, host) = import(&bytes, &json!({"outward": outward}));
+    assert_eq!(mesh.unwrap().vertices.len(), 400);
+    assert!(host.warnings()[0].starts_with("40 of 401 points are classified as vegetation"), "{:?}", host.warnings());
+    let (mesh, host) = import(&bytes, &json!({"outward": outward, "classes": [2]}));
+    assert_eq!((mesh.unwrap().vertices.len(), host.metric("dropped_class_points")), (360, Some(41.0)));
+    assert!(host.warnings().is_empty());
+    let refused = |bytes: &[u8], classes| import(bytes, &json!({"classes": classes})).0.unwrap_err().message;
+    assert!(refused(&bytes, json!([6])).contains("40 of class 4, medium vegetation: left out"));
+    assert!(refused(wall().as_bytes(), json!([2])).contains("of another format, without classes"));
+    let fault =
+        |classes| ImportCloud::check(&ImportCloudParams::decode(&json!({"path": "a", "classes": classes})).unwrap());
+    assert_eq!((fault(json!([])).len(), fault(json!([2, 256])).len(), fault(json!([0, 255])).len()), (1, 1, 0));
+}
+
+#[test]
+fn a_point_at_zero_does_not_tell_where_the_cloud_is() {
+    let text: String = (0..400)
+        .map(|i| {
+            format!(
+                "{:.3} {:.3} {:.3}\n",
+                451_000.0 + 0.1 * f64::from(i % 20),
+                5_512_000.0 + 0.1 * f64::from(i / 20),
+                300.0
+            )
+        })
+        .collect();
+    let warnings = |text: &str| import(text.as_bytes(), &json!({"crs": "EPSG:32633"})).1.warnings();
+    assert!(warnings(&format!("0 0 0\n{text}")).is_empty(), "{:?}", warnings(&format!("0 0 0\n{text}")));
+    let moved = text.replace("451", "").replace("5512", "");
+    assert!(warnings(&moved)[0].contains("have lost a shift"), "{:?}", warnings(&moved));
 }
 
 #[test]

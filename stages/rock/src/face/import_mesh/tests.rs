@@ -58,14 +58,39 @@ fn coordinates_in_single_precision_are_warned_of_with_their_step() {
 fn millimetres_become_metres_where_the_file_states_no_system() {
     let (mesh, _) = with(&square(&[[0, 1, 2], [0, 2, 3]]), &json!({"unit_m": 0.001, "offset_m": [0, 0, 5]}));
     assert_eq!(mesh.unwrap().vertices[1], [0.001, 0.0, 5.0]);
+    let system = json!({"unit_m": 0.001, "offset_m": [451_236, 5_512_346, 612], "crs": "EPSG:32633"});
+    let (mesh, host) = with(&square(&[[0, 1, 2], [0, 2, 3]]), &system);
+    let mesh = mesh.unwrap();
+    assert_eq!(mesh.vertices[1], [451_236.001, 5_512_346.0, 612.0]);
+    assert_eq!(mesh.frame.crs().unwrap().epsg(), Some(32633));
+    assert!(host.warnings().is_empty(), "{:?}", host.warnings());
     let params = |with| ImportMeshParams::decode(&with).unwrap();
-    let faults = ImportMesh::check(&params(json!({"path": "face", "unit_m": 0.001, "crs": "EPSG:32633"})));
-    assert!(faults.len() == 1 && faults[0].message.contains("a unit of its own"), "{faults:?}");
+    let faults = ImportMesh::check(&params(json!({"path": "face", "unit_m": 0.001, "crs": "EPSG:2229"})));
+    assert!(faults.len() == 1 && faults[0].message.contains("`EPSG:2229` is a system in another unit"), "{faults:?}");
     let frame = Frame::World.at(Some(Georeference::world("EPSG:32633".parse().unwrap())));
     let vertices = vec![[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
     let bytes = ply::write_mesh(&Mesh { frame, vertices, triangles: vec![[0, 1, 2]], colours: Vec::new() });
     let error = with(&bytes, &json!({"unit_m": 0.001})).0.unwrap_err();
     assert!(error.message.contains("states the system and the unit"), "{error}");
+    let error = with(&bytes, &json!({"unit_m": 0.001, "crs": "EPSG:32633"})).0.unwrap_err();
+    assert!(error.message.contains("states the system and the unit"), "{error}");
+}
+
+#[test]
+fn neither_a_vertex_without_triangle_nor_a_piece_far_away_tells_where_the_face_is() {
+    let mesh = height_mesh(20, [0.0, 20.0, 0.0, 10.0], |x, y| 0.1 * x * y);
+    let vertices = mesh.vertices.iter().map(|[x, y, z]| format!("v {} {} {z}\n", x + 451_000.125, y + 5_512_000.125));
+    let faces = mesh.triangles.iter().map(|t| format!("f {} {} {}\n", t[0] + 2, t[1] + 2, t[2] + 2));
+    let text: String = ["v 0 0 0\n".to_owned()].into_iter().chain(vertices).chain(faces).collect();
+    let system = json!({"crs": "EPSG:32633"});
+    let warnings = |text: &str| with(text.as_bytes(), &system).1.warnings();
+    assert!(warnings(&text).is_empty(), "{:?}", warnings(&text));
+    let far = warnings(&(text + "v 1 0 0\nv 0 1 0\nf 1 443 444\n"));
+    assert!(
+        far.len() == 1 && far[0].starts_with("1 triangles lie far from all others, the farthest corner at ("),
+        "{far:?}"
+    );
+    assert!(far[0].contains("`min_piece_triangles`") && far[0].contains("`plane: robust`"));
 }
 
 #[test]

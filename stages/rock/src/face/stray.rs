@@ -1,0 +1,115 @@
+//! Triangles far away from the face: a piece at the origin of the coordinates, or a corner that belongs elsewhere.
+
+use rockface_core::artefact::Mesh;
+
+/// Share of the area that tells the extent of the face.
+const SHARE: f64 = 0.99;
+/// Beyond so many extents a triangle is far away.
+const FAR: f64 = 10.0;
+/// Triangles that the extent is told from, at most.
+const SAMPLE: usize = 100_000;
+/// A triangle counts for no more than so many of median area, so a few long ones to a corner far away do not decide.
+const MOST_MEDIANS: f64 = 10.0;
+
+/// Triangles far away from the rest.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Stray {
+    /// How many there are.
+    pub triangles: usize,
+    /// The corner that is farthest away.
+    pub place: [f64; 3],
+    /// Its distance from the middle of the face, metres.
+    pub distance_m: f64,
+    /// Within this distance of the middle lie 99 % of the face, metres.
+    pub extent_m: f64,
+}
+
+/// Triangles with a corner ten times as far from the middle of the face as 99 % of its area are; `None` where there are none.
+///
+/// The middle is the median of the centroids by area, coordinate by coordinate. Both are told from a sample of large meshes.
+pub fn stray(mesh: &Mesh) -> Option<Stray> {
+    let corners = |triangle: &[u32; 3]| triangle.map(|corner| mesh.vertices[corner as usize]);
+    let step = mesh.triangles.len().div_ceil(SAMPLE).max(1);
+    let sample: Vec<[[f64; 3]; 3]> = mesh.triangles.iter().step_by(step).map(corners).collect();
+    let mut areas: Vec<f64> = sample.iter().map(area).collect();
+    let most = MOST_MEDIANS * quantile(areas.iter().map(|area| (*area, 1.0)), 0.5)?;
+    areas.iter_mut().for_each(|area| *area = area.min(most));
+    let mut middle = [0.0; 3];
+    for (axis, middle) in middle.iter_mut().enumerate() {
+        let centroids = sample.iter().map(|corners| corners.iter().map(|corner| corner[axis]).sum::<f64>() / 3.0);
+        *middle = quantile(centroids.zip(areas.iter().copied()), 0.5)?;
+    }
+    let farthest = |corners: [[f64; 3]; 3]| {
+        let all = corners.map(|corner| (distance(corner, middle), corner));
+        all.into_iter().fold((0.0, middle), |far, next| if next.0 > far.0 { next } else { far })
+    };
+    let extent_m = quantile(sample.iter().map(|corners| farthest(*corners).0).zip(areas.iter().copied()), SHARE)?;
+    let all = mesh.triangles.iter().map(|triangle| farthest(corners(triangle)));
+    all.filter(|(distance_m, _)| *distance_m > FAR * extent_m).fold(None, |stray, (distance_m, place)| {
+        let before = stray.unwrap_or(Stray { triangles: 0, place, distance_m, extent_m });
+        let triangles = before.triangles + 1;
+        let farther = if distance_m > before.distance_m { Stray { place, distance_m, ..before } } else { before };
+        Some(Stray { triangles, ..farther })
+    })
+}
+
+fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
+    (0..3).map(|axis| (a[axis] - b[axis]) * (a[axis] - b[axis])).sum::<f64>().sqrt()
+}
+
+fn area([a, b, c]: &[[f64; 3]; 3]) -> f64 {
+    let [u, v] = [b, c].map(|corner| nalgebra::Vector3::from(*corner) - nalgebra::Vector3::from(*a));
+    0.5 * u.cross(&v).norm()
+}
+
+/// The value up to which a share of all weight lies; `None` without weight.
+fn quantile(weighted: impl Iterator<Item = (f64, f64)>, share: f64) -> Option<f64> {
+    let mut sorted: Vec<(f64, f64)> = weighted.collect();
+    sorted.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
+    let wanted = share * sorted.iter().map(|(_, weight)| weight).sum::<f64>();
+    let mut sum = 0.0;
+    let reached = sorted.iter().find(|(_, weight)| {
+        sum += weight;
+        sum >= wanted && sum > 0.0
+    });
+    reached.map(|(value, _)| *value)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rockface_core::testing::height_mesh;
+
+    #[test]
+    fn pieces_and_corners_far_away_are_found_and_large_faces_are_not() {
+        let face = || {
+            let mut mesh = height_mesh(40, [0.0, 20.0, 0.0, 10.0], |x, y| 0.1 * x * y);
+            mesh.vertices.iter_mut().for_each(|vertex| vertex[0] += 451_000.0);
+            mesh
+        };
+        assert_eq!(stray(&face()), None);
+        let mut piece = face();
+        let first = piece.vertices.len() as u32;
+        piece.vertices.extend([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]);
+        piece.triangles.push([first, first + 1, first + 2]);
+        let found = stray(&piece).unwrap();
+        assert!(
+            found.triangles == 1 && found.place[0] < 0.5 && (found.distance_m - 451_010.0).abs() < 5.0,
+            "{found:?}"
+        );
+        assert!((8.0..20.0).contains(&found.extent_m), "{found:?}");
+        let mut spike = face();
+        spike.vertices[0] = [0.0; 3];
+        assert!(stray(&spike).is_some_and(|found| (1..=6).contains(&found.triangles)));
+        // A part of the face that lies apart is no stray piece.
+        let mut parts = face();
+        let first = parts.vertices.len() as u32;
+        let moved: Vec<[f64; 3]> = parts.vertices.iter().map(|[x, y, z]| [x + 90.0, *y, *z]).collect();
+        parts.vertices.extend(moved);
+        let triangles: Vec<[u32; 3]> = parts.triangles.iter().map(|corners| corners.map(|i| i + first)).collect();
+        parts.triangles.extend(triangles);
+        assert_eq!(stray(&parts), None);
+        assert_eq!(stray(&Mesh { triangles: vec![[0, 1, 41]], ..face() }), None, "one triangle");
+        assert_eq!(stray(&Mesh { triangles: Vec::new(), ..face() }), None);
+    }
+}
