@@ -68,6 +68,7 @@ mod rewrite;
 mod scratch;
 mod seal;
 mod segment;
+mod sharing;
 mod store;
 mod syncer;
 mod values;
