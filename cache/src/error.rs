@@ -4,7 +4,7 @@ use std::io;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
-use nix::unistd::{Uid, User};
+use nix::unistd::{Gid, Group, Uid, User};
 use rustix::process::{getegid, geteuid, getgroups};
 
 use crate::Digest;
@@ -178,6 +178,13 @@ fn owner_who_may_open(path: &Path) -> Option<String> {
     let name = User::from_uid(Uid::from_raw(owner)).ok().flatten();
     let name = name.map_or_else(|| format!("user {owner}"), |user| user.name);
     let (mode, place) = (meta.mode() & 0o7777, place.display());
+    if whom == "o" && mode & 0o060 == 0o060 {
+        let group =
+            Group::from_gid(Gid::from_raw(group)).ok().flatten().map_or_else(|| group.to_string(), |group| group.name);
+        return Some(format!(
+            "{place} belongs to {name} and the group {group} (mode {mode:04o}): ask to be made a member of it"
+        ));
+    }
     Some(format!("{place} belongs to {name} (mode {mode:04o}), who opens it with `chmod {whom}+{what} {place}`"))
 }
 
