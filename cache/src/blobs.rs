@@ -8,8 +8,9 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use crate::error::{At, StoreError};
 use crate::locks::{Locked, abandoned};
-use crate::open::{BLOBS, TEMPORARY_BLOB, set_mode};
+use crate::open::{BLOBS, TEMPORARY_BLOB};
 use crate::seal::{Knowledge, seal};
+use crate::sharing::Sharing;
 use crate::{Digest, plain};
 
 /// What was put less long ago is not put again, seconds: much less than the hour a collection spares.
@@ -64,10 +65,11 @@ impl Blobs {
     pub(crate) fn put(&self, digest: &Digest, bytes: &[u8]) -> Result<(), StoreError> {
         let path = self.path(digest);
         // A link to another folder would have the blob written there.
-        plain::folder(path.parent().unwrap_or(&self.root))?;
+        let sharing = Sharing::of(&self.root);
+        plain::folder(path.parent().unwrap_or(&self.root), sharing)?;
         let mut file = self.temporary()?;
         file.write_all(bytes).at("write", &path)?;
-        set_mode(file.as_file(), 0o444).at("set the mode of", &path)?;
+        sharing.give(file.as_file(), 0o444).at("set the mode of", &path)?;
         seal(file.as_file(), digest).at("set the time of", &path)?;
         file.as_file().sync_all().at("sync", &path)?;
         let file = file.persist(&path).map_err(|fault| fault.error).at("write", &path)?;

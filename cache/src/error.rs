@@ -1,7 +1,11 @@
 //! What can go wrong with the store, and the way out of it.
 
 use std::io;
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
+
+use nix::unistd::{Gid, Group, Uid, User};
+use rustix::process::{getegid, geteuid, getgroups};
 
 use crate::Digest;
 
@@ -41,12 +45,14 @@ pub enum StoreError {
     },
     /// A run may not write to the store.
     #[error(
-        "the store {} can only be read ({source}), and a run has to write there what it references: give another one with `--store DIR`",
-        dir.display()
+        "the store {} can only be read ({}: {source}), and a run has to write there what it references: give another one with `--store DIR`; {}",
+        dir.display(), path.display(), way_out(path, source)
     )]
     ReadOnly {
         /// The folder of the store.
         dir: PathBuf,
+        /// What could not be written.
+        path: PathBuf,
         /// What the system said.
         source: io::Error,
     },
@@ -133,7 +139,7 @@ pub enum StoreError {
         why: String,
     },
     /// Anything else the operating system refused.
-    #[error("cannot {action} {}: {source}; {}", path.display(), way_out(source))]
+    #[error("cannot {action} {}: {source}; {}", path.display(), way_out(path, source))]
     Io {
         /// What was tried, a verb phrase.
         action: &'static str,
@@ -145,11 +151,41 @@ pub enum StoreError {
 }
 
 /// What may help where the system refused something.
-fn way_out(source: &io::Error) -> &'static str {
+fn way_out(path: &Path, source: &io::Error) -> String {
+    let owner = || (source.kind() == io::ErrorKind::PermissionDenied).then(|| owner_who_may_open(path)).flatten();
     match source.kind() {
-        io::ErrorKind::FileTooLarge => "raise the limit on the size of files (`ulimit -f`), or use another file system",
-        _ => "check that the path exists and that you may use it",
+        io::ErrorKind::FileTooLarge => {
+            "raise the limit on the size of files (`ulimit -f`), or use another file system".to_owned()
+        }
+        _ => owner().unwrap_or_else(|| "check that the path exists and that you may use it".to_owned()),
     }
+}
+
+/// Whose a path is that this user may not use, or the nearest folder around it that can be looked at, and how its owner opens it.
+fn owner_who_may_open(path: &Path) -> Option<String> {
+    let (place, meta) = path.ancestors().find_map(|place| Some((place, std::fs::symlink_metadata(place).ok()?)))?;
+    let (owner, group) = (meta.uid(), meta.gid());
+    let is_member =
+        getegid().as_raw() == group || getgroups().is_ok_and(|groups| groups.iter().any(|own| own.as_raw() == group));
+    let whom = if owner == geteuid().as_raw() {
+        "u"
+    } else if is_member {
+        "g"
+    } else {
+        "o"
+    };
+    let what = if meta.is_dir() { "rwx" } else { "rw" };
+    let name = User::from_uid(Uid::from_raw(owner)).ok().flatten();
+    let name = name.map_or_else(|| format!("user {owner}"), |user| user.name);
+    let (mode, place) = (meta.mode() & 0o7777, place.display());
+    if whom == "o" && mode & 0o060 == 0o060 {
+        let group =
+            Group::from_gid(Gid::from_raw(group)).ok().flatten().map_or_else(|| group.to_string(), |group| group.name);
+        return Some(format!(
+            "{place} belongs to {name} and the group {group} (mode {mode:04o}): ask to be made a member of it"
+        ));
+    }
+    Some(format!("{place} belongs to {name} (mode {mode:04o}), who opens it with `chmod {whom}+{what} {place}`"))
 }
 
 impl StoreError {
@@ -189,8 +225,8 @@ impl StoreError {
     pub(crate) fn or_read_only(self, dir: &Path) -> Self {
         use io::ErrorKind::{PermissionDenied, ReadOnlyFilesystem};
         match self {
-            Self::Io { source, .. } if matches!(source.kind(), PermissionDenied | ReadOnlyFilesystem) => {
-                Self::ReadOnly { dir: dir.to_owned(), source }
+            Self::Io { path, source, .. } if matches!(source.kind(), PermissionDenied | ReadOnlyFilesystem) => {
+                Self::ReadOnly { dir: dir.to_owned(), path, source }
             }
             other => other,
         }
@@ -255,6 +291,22 @@ mod tests {
         }
         let other = fault(io::ErrorKind::NotFound).or_read_only(Path::new("/s"));
         assert!(matches!(other, StoreError::Io { .. }));
+    }
+
+    #[test]
+    fn a_file_of_somebody_who_lets_nobody_else_use_it_is_named_with_its_owner() {
+        let denied = |path: &Path| StoreError::io("open", path, io::ErrorKind::PermissionDenied.into()).to_string();
+        let told = denied(Path::new("/proc/1"));
+        assert!(told.contains("/proc/1 belongs to root (mode 0555)") && told.contains("+rwx /proc/1`"), "{told}");
+        let place = tempfile::tempdir().unwrap();
+        let path = place.path().join("a.seg");
+        std::fs::write(&path, "").unwrap();
+        std::fs::set_permissions(&path, std::os::unix::fs::PermissionsExt::from_mode(0o600)).unwrap();
+        let told = denied(&path);
+        assert!(told.contains("(mode 0600)") && told.contains(&format!("chmod u+rw {}`", path.display())), "{told}");
+        // Where it cannot be looked at, the folder around it is in the way.
+        let told = denied(&path.join("deep/deeper"));
+        assert!(told.contains(&format!("{} belongs to", path.display())), "{told}");
     }
 
     #[test]

@@ -12,6 +12,7 @@ use crate::frame::{Header, Kind, PAYLOAD_LIMIT};
 use crate::index::{Index, Place};
 use crate::locks::Locked;
 use crate::segment::{FULL_BYTES, Frame, Payload, Writer, claim, scan};
+use crate::sharing::Sharing;
 use crate::{Digest, plain};
 
 /// Ends the name of every segment.
@@ -91,7 +92,7 @@ impl Journal {
             }
             let path = self.dir.join(&name);
             let seen = self.with_index(|index| index.seen(number)).end;
-            match plain::open(&path) {
+            match plain::settled(|| plain::open(&path)) {
                 Ok(file) if file.metadata().at("look at", &path)?.len() > seen => {
                     self.read_on(&file, &path, number)?;
                 }
@@ -204,8 +205,11 @@ impl Journal {
     fn claim_segment(&self) -> Result<Writer, StoreError> {
         let names = self.names()?.into_iter();
         for name in names.filter(|name| self.own.as_ref().is_none_or(|own| name.ends_with(own.as_str()))) {
-            if let Some(writer) = self.claim_named(&name)? {
-                return Ok(writer);
+            match self.claim_named(&name) {
+                Ok(Some(writer)) => return Ok(writer),
+                // Another user's, who lets others only read it.
+                Err(StoreError::Io { source, .. }) if plain::is_refused(&source) => {}
+                claimed => drop(claimed?),
             }
         }
         self.begin_segment()
@@ -221,6 +225,11 @@ impl Journal {
                 return Ok(writer);
             }
         }
+    }
+
+    /// Who may use the segments: whom the folder around theirs lets in.
+    pub(crate) fn sharing(&self) -> Sharing {
+        Sharing::of(self.dir.parent().unwrap_or(&self.dir))
     }
 
     /// The path of a segment.
@@ -263,7 +272,7 @@ impl Journal {
     /// Claims one segment, reads it to its end and cuts off what a dead writer left torn there.
     fn claim_named(&self, name: &str) -> Result<Option<Writer>, StoreError> {
         let path = self.dir.join(name);
-        let Some(file) = claim(&path)? else {
+        let Some(file) = claim(&path, self.sharing())? else {
             return Ok(None);
         };
         let size = file.metadata().at("look at", &path)?.len();
@@ -362,7 +371,7 @@ impl Journal {
             return Ok(Some(Arc::clone(file)));
         }
         let path = self.segment_path(segment);
-        match plain::open(&path) {
+        match plain::settled(|| plain::open(&path)) {
             Ok(file) => Ok(Some(Arc::clone(readers.entry(segment).or_insert(Arc::new(file))))),
             Err(fault) if fault.kind() == std::io::ErrorKind::NotFound => Ok(None),
             Err(fault) => Err(StoreError::io("open", &path, fault)),
@@ -406,6 +415,24 @@ mod tests {
         assert!(marked > one.end);
         journal.settle(&other).unwrap();
         assert_eq!(size(), marked);
+    }
+
+    #[test]
+    fn a_segment_that_may_not_be_written_to_is_left_alone() {
+        let folder = tempfile::tempdir().unwrap();
+        let note = |text: &'static [u8]| [(Kind::Note, Digest::of(text), text)];
+        let (one, other) = (Journal::open(folder.path(), None).unwrap(), Journal::open(folder.path(), None).unwrap());
+        one.append_all(&note(b"one")).unwrap();
+        drop(one);
+        let path = other.path(&other.names().unwrap()[0]);
+        std::fs::set_permissions(&path, std::os::unix::fs::PermissionsExt::from_mode(0o444)).unwrap();
+        if std::fs::File::options().append(true).open(&path).is_ok() {
+            println!("skipped: root may write to everything");
+            return;
+        }
+        other.append_all(&note(b"other")).unwrap();
+        assert_eq!(other.names().unwrap().len(), 2);
+        assert_eq!(other.claim_all(|_| false).unwrap().busy(), 1);
     }
 
     #[test]

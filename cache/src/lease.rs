@@ -1,8 +1,9 @@
 //! Leases: the records that live processes reference, which no collection removes.
 
 use std::collections::BTreeSet;
+use std::fs::Metadata;
 use std::io::{Read, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::PoisonError;
 use std::time::UNIX_EPOCH;
 
@@ -10,6 +11,7 @@ use crate::error::{At, StoreError};
 use crate::locks::{KeyLock, abandoned};
 use crate::machine::Machine;
 use crate::open::LIVE;
+use crate::sharing::{FILE, Sharing};
 use crate::{Digest, Store, plain};
 
 /// Bytes of a key.
@@ -26,8 +28,20 @@ pub struct Live {
     pub since_unix_s: Option<u64>,
     /// The keys of records they reference.
     pub keys: BTreeSet<Digest>,
-    /// Whether one of them has yet to list what it references.
+    /// Whether what one of them references is not known: it has yet to list it, or its list cannot be read.
     pub is_looking: bool,
+    /// The first list that this user may not read.
+    pub unreadable: Option<PathBuf>,
+}
+
+impl Live {
+    /// Enters a process whose list this is.
+    fn enter(&mut self, list: &Metadata) {
+        let began = list.created().or_else(|_| list.modified()).ok();
+        let began = began.and_then(|at| at.duration_since(UNIX_EPOCH).ok()).map_or(0, |since| since.as_secs());
+        self.count += 1;
+        self.since_unix_s = Some(self.since_unix_s.map_or(began, |first| first.min(began)));
+    }
 }
 
 impl Store {
@@ -52,7 +66,7 @@ impl Store {
         let _gate = self.gate()?;
         // From now on others see this process.
         self.machine().worker()?;
-        begin(&self.machine().folder(LIVE))
+        begin(&self.machine().folder(LIVE), Sharing::of(self.dir()))
     }
 
     /// Held by a collection from its last look at who is live until what leaves has left, and for a moment by each run
@@ -79,9 +93,16 @@ impl Store {
             if plain::is_folder(&path) {
                 continue;
             }
-            let mut file = match plain::open(&path) {
+            let mut file = match plain::settled(|| plain::open(&path)) {
                 // Its process has ended since it was listed, or it is nothing that a process made.
                 Err(fault) if fault.kind() == std::io::ErrorKind::NotFound || plain::is_foreign(&fault) => continue,
+                Err(fault) if fault.kind() == std::io::ErrorKind::PermissionDenied => {
+                    // Who cannot be read is not taken for dead.
+                    live.enter(&std::fs::symlink_metadata(&path).at("look at", &path)?);
+                    live.is_looking = true;
+                    live.unreadable.get_or_insert(path);
+                    continue;
+                }
                 file => file.at("open", &path)?,
             };
             let is_dead = plain::open(&path).map_or_else(
@@ -91,24 +112,24 @@ impl Store {
             if is_dead && !is_alive_elsewhere {
                 continue;
             }
-            live.count += 1;
+            live.enter(&file.metadata().at("look at", &path)?);
             let mut bytes = Vec::new();
             file.read_to_end(&mut bytes).at("read", &path)?;
             live.is_looking |= bytes.is_empty();
             live.keys
                 .extend(bytes.chunks_exact(KEY_BYTES).filter_map(|key| Some(Digest::from_bytes(key.try_into().ok()?))));
-            let began = file.metadata().and_then(|meta| meta.created().or_else(|_| meta.modified()));
-            let began = began.ok().and_then(|at| at.duration_since(UNIX_EPOCH).ok()).map_or(0, |since| since.as_secs());
-            live.since_unix_s = Some(live.since_unix_s.map_or(began, |first| first.min(began)));
         }
         Ok(())
     }
 }
 
 /// A file that is locked as long as this process lives and removed with the store.
-fn begin(folder: &Path) -> Result<tempfile::NamedTempFile, StoreError> {
+fn begin(folder: &Path, sharing: Sharing) -> Result<tempfile::NamedTempFile, StoreError> {
     loop {
-        let file = tempfile::Builder::new().prefix("run-").tempfile_in(folder).at("write into", folder)?;
+        let mut builder = tempfile::Builder::new();
+        let file = builder.prefix("run-").permissions(sharing.permissions()).tempfile_in(folder);
+        let file = file.at("write into", folder)?;
+        sharing.give(file.as_file(), FILE).at("set the mode of", file.path())?;
         file.as_file().lock().at("lock a file in", folder)?;
         // Swept up between its making and its locking? Then make another.
         if crate::segment::is_at(file.as_file(), file.path()) {
@@ -135,8 +156,9 @@ mod tests {
             println!("skipped: root may read everything");
             return;
         }
-        let told = store.live().unwrap_err().to_string();
-        assert!(told.contains("run-shut"), "{told}");
+        let live = store.live().unwrap();
+        assert!(live.count == 1 && live.is_looking && live.since_unix_s.is_some(), "{live:?}");
+        assert_eq!(live.unreadable, Some(path("run-shut")));
     }
 
     #[test]

@@ -144,7 +144,7 @@ impl Leases {
         let worker = self.machine.worker()?;
         let now = worker.clock().at("use", worker.path())?;
         let root = self.folder.parent().unwrap_or(&self.folder);
-        let others = list(root).into_iter().filter(|other| other.machine != self.machine.name());
+        let others = list(root)?.into_iter().filter(|other| other.machine != self.machine.name());
         let is_there = |path: PathBuf| {
             let modified = plain::open(&path).ok()?.metadata().ok()?.modified().ok()?;
             Some(now.duration_since(modified).unwrap_or_default() < EXPIRY)

@@ -5,7 +5,7 @@
 
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
-use std::fs::{File, OpenOptions, TryLockError};
+use std::fs::{File, TryLockError};
 use std::io;
 use std::ops::Deref;
 use std::path::{Path, PathBuf};
@@ -21,6 +21,7 @@ use crate::error::{At, StoreError};
 use crate::leases::Leases;
 use crate::remote::{Claim, Having};
 use crate::segment::is_at;
+use crate::sharing::Sharing;
 use crate::{Digest, plain};
 
 /// How often a lease is asked for that another machine has.
@@ -271,9 +272,8 @@ impl Bytes {
         if let Some(file) = self.file.get() {
             return Ok(file);
         }
-        let mut options = OpenOptions::new();
-        options.read(true).write(true).create(true).truncate(false);
-        let opened = plain::open_with(&mut options, &self.path).at("open", &self.path)?;
+        let sharing = Sharing::of(self.path.parent().unwrap_or(&self.path));
+        let opened = sharing.open_or_make(&self.path).at("open", &self.path)?;
         // Another thread may have been first; then its opening counts.
         Ok(self.file.get_or_init(|| opened))
     }

@@ -11,6 +11,7 @@ use crate::locks::sweep;
 use crate::machine::Machine;
 use crate::memory::{ANSWERS, TREES};
 use crate::plain;
+use crate::sharing::Sharing;
 
 /// What the format file says.
 const FORMAT: &str = "rockface store 1";
@@ -75,6 +76,7 @@ fn format_of(path: &Path) -> io::Result<String> {
 pub(crate) fn prepare(dir: &Path, machine: &Machine) -> Result<(), StoreError> {
     let outside = nearest_that_is_there(dir)?;
     fs::create_dir_all(dir).at("make the folder", dir)?;
+    let sharing = Sharing::of(dir);
     // Listed before the format is read: another process may be making the store now, and writes its format first.
     let foreign = foreign_entry(dir)?;
     let format = dir.join("format");
@@ -94,11 +96,11 @@ pub(crate) fn prepare(dir: &Path, machine: &Machine) -> Result<(), StoreError> {
     }
     for folder in FOLDERS {
         // Files there may be removed or overwritten, so it must not be another folder.
-        plain::folder(&dir.join(folder))?;
+        plain::folder(&dir.join(folder), sharing)?;
     }
     if machine.is_shared {
-        plain::folder(&dir.join(LEASES))?;
-        [TMP, SCRATCH, LIVE].iter().try_for_each(|folder| plain::folder(&machine.folder(folder)))?;
+        plain::folder(&dir.join(LEASES), sharing)?;
+        [TMP, SCRATCH, LIVE].iter().try_for_each(|folder| plain::folder(&machine.folder(folder), sharing))?;
     }
     if !dir.join(TAG).exists() {
         write_whole(dir, TAG, CACHE_TAG)?;
@@ -127,7 +129,7 @@ fn sweep_aged(dir: &Path, prefix: &str) -> Result<(), StoreError> {
         let age = || entry.metadata().ok()?.modified().ok()?.elapsed().ok();
         if ours && age().is_some_and(|age| age > LONGEST_WRITING) {
             // What cannot be removed now is left for another time.
-            let _ = fs::remove_file(entry.path());
+            let _ = fs::remove_file(entry.path()).or_else(|_| fs::remove_dir(entry.path()));
         }
     }
     Ok(())
@@ -174,15 +176,10 @@ fn write_whole(dir: &Path, name: &str, text: &str) -> Result<(), StoreError> {
     let path = dir.join(name);
     let mut file = tempfile::Builder::new().prefix(HALF_WRITTEN).tempfile_in(dir).at("write into", dir)?;
     file.write_all(text.as_bytes()).at("write", &path)?;
-    set_mode(file.as_file(), 0o644).at("set the mode of", &path)?;
+    Sharing::of(dir).give(file.as_file(), 0o644).at("set the mode of", &path)?;
     file.as_file().sync_all().at("sync", &path)?;
     file.persist(&path).map_err(|fault| fault.error).at("write", &path)?;
     Ok(())
-}
-
-/// Sets the permission bits of an open file.
-pub(crate) fn set_mode(file: &fs::File, mode: u32) -> io::Result<()> {
-    file.set_permissions(std::os::unix::fs::PermissionsExt::from_mode(mode))
 }
 
 #[cfg(test)]

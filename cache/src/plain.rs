@@ -7,11 +7,18 @@ use std::fs::{self, File, OpenOptions};
 use std::io::{self, ErrorKind, Read};
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::Path;
+use std::time::Duration;
 
 use rustix::fs::OFlags;
 use rustix::io::Errno;
 
 use crate::error::StoreError;
+use crate::sharing::Sharing;
+
+/// How often a file that may not be opened is tried again.
+const ATTEMPTS: usize = 3;
+/// How long it takes at most until a file that is being made can be opened.
+const MOMENT: Duration = Duration::from_millis(10);
 
 /// Opens a plain file to read from.
 pub(crate) fn open(path: &Path) -> io::Result<File> {
@@ -50,11 +57,26 @@ pub(crate) fn is_foreign(fault: &io::Error) -> bool {
     fault.kind() == ErrorKind::InvalidInput
 }
 
-/// Makes sure that there is a folder at `path`, and not a link to one.
-pub(crate) fn folder(path: &Path) -> Result<(), StoreError> {
-    match fs::create_dir(path) {
+/// Does something with a file that another process may be making: for a moment that is open to nobody else.
+pub(crate) fn settled<T>(attempt: impl Fn() -> io::Result<T>) -> io::Result<T> {
+    for _ in 0..ATTEMPTS {
+        match attempt() {
+            Err(fault) if fault.kind() == ErrorKind::PermissionDenied => std::thread::sleep(MOMENT),
+            done => return done,
+        }
+    }
+    attempt()
+}
+
+/// Whether this user may not write there.
+pub(crate) fn is_refused(fault: &io::Error) -> bool {
+    matches!(fault.kind(), ErrorKind::PermissionDenied | ErrorKind::ReadOnlyFilesystem)
+}
+
+/// Makes sure that there is a folder of a store at `path`, and not a link to one.
+pub(crate) fn folder(path: &Path, sharing: Sharing) -> Result<(), StoreError> {
+    match sharing.folder(path) {
         Ok(()) => Ok(()),
-        Err(_) if is_folder(path) => Ok(()),
         Err(fault) if fault.kind() == ErrorKind::AlreadyExists => Err(StoreError::Foreign { path: path.to_owned() }),
         Err(fault) => Err(StoreError::io("make the folder", path, fault)),
     }
@@ -104,10 +126,11 @@ mod tests {
     fn a_link_to_a_folder_is_none() {
         let place = tempfile::tempdir().unwrap();
         let (real, link) = (place.path().join("real"), place.path().join("link"));
-        folder(&real).unwrap();
-        folder(&real).unwrap();
+        let sharing = Sharing::of(place.path());
+        folder(&real, sharing).unwrap();
+        folder(&real, sharing).unwrap();
         symlink(&real, &link).unwrap();
-        assert!(matches!(folder(&link), Err(StoreError::Foreign { path }) if path == link));
+        assert!(matches!(folder(&link, sharing), Err(StoreError::Foreign { path }) if path == link));
         assert!(is_folder(&real) && !is_folder(&link));
     }
 }

@@ -41,7 +41,7 @@ pub(crate) struct Claimed {
 }
 
 impl Claimed {
-    /// How many are being written to and stay as they are.
+    /// How many are being written to, or may not be, and stay as they are.
     pub(crate) fn busy(&self) -> u64 {
         self.busy.len() as u64
     }
@@ -54,7 +54,12 @@ impl Journal {
         self.rest()?;
         let mut claimed = Claimed { free: Vec::new(), busy: Vec::new() };
         for name in self.names()? {
-            match claim(&self.path(&name))? {
+            let found = match claim(&self.path(&name), self.sharing()) {
+                // Another user's, who lets others only read it.
+                Err(StoreError::Io { source, .. }) if plain::is_refused(&source) => None,
+                found => found?,
+            };
+            match found {
                 Some(file) if !is_busy(&name) => claimed.free.push((name, file)),
                 _ => claimed.busy.push(name),
             }
@@ -69,7 +74,7 @@ impl Journal {
         let mut keys = BTreeSet::new();
         for name in &claimed.busy {
             let path = self.path(name);
-            let file = match plain::open(&path) {
+            let file = match plain::settled(|| plain::open(&path)) {
                 Err(fault) if fault.kind() == ErrorKind::NotFound => continue,
                 file => file.at("open", &path)?,
             };
@@ -94,7 +99,7 @@ impl Journal {
         let begun = self.names().unwrap_or_default().into_iter().filter(|name| name.ends_with(&own));
         for name in begun.filter(|name| !before.contains(name)) {
             // In another container a process may have the same number, and holds its own.
-            if let Ok(Some(_held)) = claim(&self.path(&name)) {
+            if let Ok(Some(_held)) = claim(&self.path(&name), self.sharing()) {
                 let _ = std::fs::remove_file(self.path(&name));
             }
         }

@@ -12,6 +12,7 @@ use tempfile::NamedTempFile;
 use crate::error::{At, StoreError};
 use crate::locks::abandoned;
 use crate::open::SCRATCH;
+use crate::sharing::{FILE, Sharing};
 use crate::values::ROOM;
 use crate::{Store, plain};
 
@@ -73,15 +74,17 @@ impl Store {
 
     /// An empty folder that is known by how its name begins.
     pub(crate) fn scratch_named(&self, prefix: &str, for_programs: bool) -> Result<Scratch, StoreError> {
-        let root = self.machine().folder(SCRATCH);
+        let (root, sharing) = (self.machine().folder(SCRATCH), Sharing::of(self.dir()));
         loop {
             let mut builder = tempfile::Builder::new();
+            builder.permissions(sharing.permissions());
             let lock = builder.prefix(prefix).suffix(LOCK).tempfile_in(&root).at("write into", &root)?;
+            sharing.give(lock.as_file(), FILE).at("set the mode of", lock.path())?;
             lock.as_file().lock().at("lock a file in", &root)?;
             // Swept up between its making and its locking? Then make another.
             if crate::segment::is_at(lock.as_file(), lock.path()) {
                 let folder = lock.path().with_extension("");
-                fs::create_dir(&folder).at("make the folder", &folder)?;
+                sharing.new_folder(&folder).at("make the folder", &folder)?;
                 return Ok(Scratch { folder, lock: Some(lock), for_programs });
             }
         }

@@ -3,7 +3,7 @@
 use std::fs::{File, OpenOptions};
 use std::io::{self, Write};
 use std::ops::Deref;
-use std::os::unix::fs::{FileExt, MetadataExt};
+use std::os::unix::fs::{FileExt, MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -14,6 +14,7 @@ use crate::error::{At, StoreError};
 use crate::frame::{HEADER_BYTES, Header, Kind, MAGIC};
 use crate::locks::Locked;
 use crate::plain;
+use crate::sharing::{FILE, Sharing};
 
 /// A segment that has grown beyond this is not continued.
 pub(crate) const FULL_BYTES: u64 = 256 << 20;
@@ -116,10 +117,17 @@ impl Drop for Writer {
     }
 }
 
-/// Opens a segment for appending if no live process writes it.
-pub(crate) fn claim(path: &Path) -> Result<Option<Locked>, StoreError> {
-    let file = plain::open_with(OpenOptions::new().read(true).append(true).create(true), path).at("open", path)?;
-    Ok(Locked::try_new(file).at("lock", path)?.filter(|file| is_at(file, path)))
+/// Opens a segment for appending if no live process writes it. A new one is open to whom the store is.
+pub(crate) fn claim(path: &Path, sharing: Sharing) -> Result<Option<Locked>, StoreError> {
+    let mut options = OpenOptions::new();
+    options.read(true).append(true).create(true).mode(sharing.first(FILE));
+    let file = plain::open_with(&mut options, path).at("open", path)?;
+    let Some(file) = Locked::try_new(file).at("lock", path)?.filter(|file| is_at(file, path)) else { return Ok(None) };
+    let meta = file.metadata().at("look at", path)?;
+    if meta.len() == 0 && meta.uid() == rustix::process::geteuid().as_raw() {
+        sharing.give(&file, FILE).at("set the mode of", path)?;
+    }
+    Ok(Some(file))
 }
 
 /// Whether `path` still leads to this very file.
@@ -363,6 +371,7 @@ mod tests {
     fn a_segment_is_written_by_one_at_a_time() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.seg");
+        let claim = |path: &Path| claim(path, Sharing::of(folder.path()));
         let first = claim(&path).unwrap();
         assert!(first.is_some());
         assert!(claim(&path).unwrap().is_none());

@@ -15,6 +15,7 @@ use crate::machine::Machine;
 use crate::open::{self, LOCKS, QUARANTINE, SEGMENTS, TMP};
 use crate::remote::Remote;
 use crate::seal::Damage;
+use crate::sharing::{FILE, Sharing};
 use crate::syncer::Syncer;
 use crate::{Digest, Outcome, Record};
 
@@ -194,10 +195,15 @@ impl Store {
             return Ok(bytes);
         }
         let moved_to = self.blobs.quarantine_path(digest);
-        std::fs::write(&moved_to, &bytes).at("set aside a damaged blob as", &moved_to)?;
+        self.write_aside(&moved_to, &bytes).at("set aside a damaged blob as", &moved_to)?;
         // Recorded, so that the next process does not rely on the blob.
         self.append(Kind::Gone, *digest, b"")?;
         Err(StoreError::Damaged { digest: *digest, moved_to })
+    }
+
+    fn write_aside(&self, path: &Path, bytes: &[u8]) -> std::io::Result<()> {
+        std::fs::write(path, bytes)?;
+        Sharing::of(&self.root).give(&crate::plain::open(path)?, FILE)
     }
 
     /// The latest record under this key, if its recipe is the one of that key. Those of other live processes are seen after

@@ -15,6 +15,7 @@ use crate::locks::Announced;
 use crate::open::SCRATCH;
 use crate::remote::Claims;
 use crate::scratch::Scratch;
+use crate::sharing::{FILE, Sharing};
 use crate::{Digest, Store, plain};
 
 /// Starts the name of every room.
@@ -148,6 +149,8 @@ impl Room {
 pub(crate) fn put_into(room: &Path, digest: &Digest, bytes: &[u8]) -> io::Result<()> {
     let mut new = tempfile::Builder::new().prefix(HALF_WRITTEN).tempfile_in(room)?;
     new.write_all(bytes)?;
+    // The process whose room it is may be of another user.
+    Sharing::of(room).give(new.as_file(), FILE)?;
     new.persist(room.join(digest.to_string()))?;
     Ok(())
 }
@@ -169,7 +172,9 @@ impl Want {
             }
         };
         let to = room.join(digest.to_string());
-        let linked = file.is_some_and(|file| match fs::hard_link(file, &to) {
+        // A file of this process that another one may be about to read.
+        let lend = |file: &Path| plain::open(file).and_then(|file| Sharing::of(room).give(&file, FILE));
+        let linked = file.is_some_and(|file| match lend(file).and_then(|()| fs::hard_link(file, &to)) {
             Err(fault) => fault.kind() == io::ErrorKind::AlreadyExists,
             Ok(()) => true,
         });

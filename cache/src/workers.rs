@@ -2,7 +2,7 @@
 //! what it last reported; on a store that several machines use it is touched every few seconds.
 
 use std::fs::{self, File};
-use std::io::{Read, Seek, SeekFrom};
+use std::io::{ErrorKind, Read, Seek, SeekFrom};
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
@@ -13,6 +13,7 @@ use rustix::fs::{Timespec, Timestamps, UTIME_NOW, UTIME_OMIT, futimens};
 use crate::error::{At, StoreError};
 use crate::locks::abandoned;
 use crate::open::WORKERS;
+use crate::sharing::Sharing;
 use crate::{Store, plain};
 
 /// How often a worker gives a sign of life on a store that several machines use.
@@ -59,12 +60,14 @@ impl Worker {
     pub fn begin(root: &Path, machine: &str, beats: bool) -> Result<Self, StoreError> {
         // Made here and not when the store is opened: one of a former version that can only be read has none.
         let folder = root.join(WORKERS);
-        plain::folder(&folder)?;
+        let sharing = Sharing::of(root);
+        plain::folder(&folder, sharing)?;
         let file = loop {
             let mut builder = tempfile::Builder::new();
-            builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o644));
+            builder.permissions(sharing.permissions());
             let file = builder.prefix(&format!("{machine}-{}-", std::process::id())).tempfile_in(&folder);
             let file = file.at("write into", &folder)?;
+            sharing.give(file.as_file(), 0o644).at("set the mode of", file.path())?;
             file.as_file().lock().at("lock a file in", &folder)?;
             // Swept up between its making and its locking? Then make another.
             if crate::segment::is_at(file.as_file(), file.path()) {
@@ -166,21 +169,39 @@ impl Store {
     }
 
     /// The processes that run something on the store at `dir`, by their names. Nothing is made or changed there.
-    pub fn workers(dir: &Path) -> Vec<WorkerReport> {
+    ///
+    /// # Errors
+    ///
+    /// When it cannot be seen who is there.
+    pub fn workers(dir: &Path) -> Result<Vec<WorkerReport>, StoreError> {
         list(dir)
     }
 }
 
-/// All workers of the store at `root`.
-pub(crate) fn list(root: &Path) -> Vec<WorkerReport> {
-    let entries = fs::read_dir(root.join(WORKERS)).into_iter().flatten().flatten();
-    let mut found: Vec<WorkerReport> = entries.filter_map(|entry| read(&entry.path())).collect();
-    found.sort_by(|one, other| one.name.cmp(&other.name));
-    found
+/// All workers of the store at `root`; none where nothing ever ran.
+pub(crate) fn list(root: &Path) -> Result<Vec<WorkerReport>, StoreError> {
+    let folder = root.join(WORKERS);
+    let entries = match fs::read_dir(&folder) {
+        Err(fault) if fault.kind() == ErrorKind::NotFound => return Ok(Vec::new()),
+        entries => entries.at("list", &folder)?,
+    };
+    let mut found = Vec::new();
+    for entry in entries {
+        let path = entry.at("list", &folder)?.path();
+        match plain::settled(|| plain::open(&path)) {
+            Err(fault) if fault.kind() == ErrorKind::PermissionDenied => {
+                return Err(StoreError::io("open", &path, fault));
+            }
+            // Gone since it was listed, or nothing that a process made.
+            Err(_) => {}
+            Ok(file) => found.extend(read(file, &path)),
+        }
+    }
+    found.sort_by(|one: &WorkerReport, other| one.name.cmp(&other.name));
+    Ok(found)
 }
 
-fn read(path: &Path) -> Option<WorkerReport> {
-    let mut file = plain::open(path).ok()?;
+fn read(mut file: File, path: &Path) -> Option<WorkerReport> {
     let (machine, text) = content(&mut file)?;
     let modified = file.metadata().ok()?.modified().ok()?;
     let silent = SystemTime::now().duration_since(modified).unwrap_or_default();
@@ -204,7 +225,8 @@ pub(crate) fn content(file: &mut File) -> Option<(String, String)> {
 /// Removes the files of workers of this machine that have died, and of those of others that died long ago.
 pub(crate) fn sweep(root: &Path, machine: &str, is_shared: bool) {
     const LONG_AGO: Duration = Duration::from_hours(24);
-    for worker in list(root) {
+    // What cannot be looked at now is left for another time.
+    for worker in list(root).unwrap_or_default() {
         // The lock shows which workers of this machine live, and all where one machine uses the store.
         let is_ours = worker.machine == machine || !is_shared;
         if is_ours || (!worker.is_live && worker.silent > LONG_AGO) {
@@ -226,13 +248,13 @@ mod tests {
         let place = tempfile::tempdir().unwrap();
         let dir = place.path().join("store");
         let store = Store::open(&dir).unwrap();
-        assert_eq!(Store::workers(&dir), []);
+        assert_eq!(Store::workers(&dir).unwrap(), []);
         store.report("a long report").unwrap();
         store.report("short").unwrap();
-        let seen = Store::workers(&dir);
+        let seen = Store::workers(&dir).unwrap();
         assert!(seen.len() == 1 && seen[0].is_live && seen[0].text == "short", "{seen:?}");
         drop(store);
-        assert_eq!(Store::workers(&dir), []);
+        assert_eq!(Store::workers(&dir).unwrap(), []);
     }
 
     #[test]
@@ -243,9 +265,9 @@ mod tests {
         store.report("alive").unwrap();
         let left = dir.join(WORKERS).join("dead-1-x");
         fs::write(&left, format!("{HEAD}dead\nwas here")).unwrap();
-        let seen = Store::workers(&dir);
+        let seen = Store::workers(&dir).unwrap();
         assert_eq!(seen.iter().filter(|worker| worker.text == "alive" && worker.is_live).count(), 1);
         drop(Store::open(&dir).unwrap());
-        assert!(!left.exists() && Store::workers(&dir).len() == 1);
+        assert!(!left.exists() && Store::workers(&dir).unwrap().len() == 1);
     }
 }

@@ -13,17 +13,39 @@ pub struct CapacityArgs {
     /// Steps that run at once, and threads inside them [default: one for each core].
     #[arg(long, short, value_name = "N", value_parser = jobs, allow_hyphen_values = true)]
     jobs: Option<u16>,
+    #[command(flatten)]
+    memory: MemoryArgs,
+}
+
+/// Memory of one process.
+#[derive(Debug, Args)]
+pub struct MemoryArgs {
     /// Memory for values passed between steps and for running steps; values beyond it are spilled to disk [default: half of
     /// the memory of the machine, or of the container].
-    #[arg(long, value_name = "GiB", value_parser = memory_bytes, allow_hyphen_values = true)]
-    memory: Option<usize>,
+    #[arg(long, value_name = "GiB", value_parser = memory, allow_hyphen_values = true)]
+    memory: Option<Memory>,
+}
+
+/// A number of GiB as it was given, and the bytes in it.
+#[derive(Debug, Clone)]
+struct Memory {
+    text: String,
+    bytes: usize,
+}
+
+impl MemoryArgs {
+    /// The option that says the same to another command.
+    pub fn told(&self) -> Vec<String> {
+        let told = |memory: &Memory| vec!["--memory".to_owned(), memory.text.clone()];
+        self.memory.as_ref().map(told).unwrap_or_default()
+    }
 }
 
 impl CapacityArgs {
     /// Enters what was given.
     pub fn apply(&self, options: &mut Options) {
         options.jobs = self.jobs.map_or(options.jobs, usize::from);
-        options.memory_bytes = self.memory.unwrap_or(options.memory_bytes);
+        options.memory_bytes = self.memory.memory.as_ref().map_or(options.memory_bytes, |memory| memory.bytes);
         raise_memory_limit(options.memory_bytes as u64);
     }
 }
@@ -31,6 +53,10 @@ impl CapacityArgs {
 fn jobs(text: &str) -> Result<u16, String> {
     let count = text.parse().ok().filter(|count| (1..=1024).contains(count));
     count.ok_or_else(|| "give a whole number of jobs from 1 to 1024".to_owned())
+}
+
+fn memory(text: &str) -> Result<Memory, String> {
+    Ok(Memory { text: text.to_owned(), bytes: memory_bytes(text)? })
 }
 
 /// The bytes in a number of GiB. Zero is refused: every value would be spilled.

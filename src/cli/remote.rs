@@ -27,6 +27,13 @@ impl RemoteArgs {
         self.remote.as_deref().filter(|url| !url.is_empty())
     }
 
+    /// The options that say the same to another command.
+    pub fn told(&self) -> Vec<String> {
+        let url = self.url().map(|url| ["--remote".to_owned(), url.to_owned()]);
+        let read_only = self.remote_read_only.then(|| "--remote-read-only".to_owned());
+        url.into_iter().flatten().chain(read_only).collect()
+    }
+
     /// Puts a store over the remote place that was named, if one was.
     pub fn attach(&self, store: &Store, only_look: bool) -> Result<(), CliError> {
         let Some(url) = self.url().filter(|_| store.remote().is_none()) else { return Ok(()) };

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand};
+use rockface_cache::{RunNote, StoreError};
 use rockface_core::Registry;
 use serde_json::{Value, json};
 
@@ -258,9 +259,20 @@ fn shown(value: Option<&Value>) -> String {
     }
 }
 
+/// Pins a run or removes its pin, in its folder and in the store, which so knows of it wherever the folder goes.
 fn pin(places: &Places, name: &str, pinned: bool) -> Result<(), CliError> {
-    let run = places.find(name)?;
+    let run = match places.find(name) {
+        Ok(run) => run,
+        Err(_) if !pinned && unpin_absent(places, name)? => return Ok(()),
+        Err(fault) => return Err(fault),
+    };
     run.pin(pinned)?;
+    let now = PastRun { pinned, ..run.clone() };
+    if let Err(why) = tell_store(places, &now) {
+        let known = "the mark is in the run folder only";
+        let when = "a collection heeds it as long as it finds that folder beside the store or in its `--runs`";
+        complain(&format!("warning: {why}; {known}, and {when}"));
+    }
     let done = match (pinned, run.pinned) {
         (true, false) => "is pinned: what it made is not collected",
         (true, true) => "was pinned already: what it made is not collected",
@@ -269,4 +281,47 @@ fn pin(places: &Places, name: &str, pinned: bool) -> Result<(), CliError> {
     };
     say(&format!("{} {done}", run.name));
     Ok(())
+}
+
+/// Notes in the store of a run whether it is pinned; says why it could not.
+fn tell_store(places: &Places, run: &PastRun) -> Result<(), String> {
+    let store = places.store_beside(run).map_err(|fault| fault.to_string())?;
+    let way = "give it with --store";
+    let store = store.ok_or_else(|| format!("the store with the results of {} was not found ({way})", run.name))?;
+    let memory = store.memory();
+    let note = run.note(&run.folder);
+    let told = || -> Result<bool, StoreError> {
+        // Where it was before, it is no more.
+        let is_former = |old: &RunNote| old.pinned && old.folder != note.folder && old.is_of_run(&note);
+        for old in memory.noted_folders().into_iter().filter(is_former) {
+            if !history::may_be_run(&old.folder) {
+                memory.note_folder(&old.with_pin(false))?;
+            }
+        }
+        let is_noted = memory.note_folder(&note)?;
+        store.sync()?;
+        Ok(is_noted)
+    };
+    match told() {
+        Ok(true) => Ok(()),
+        Ok(false) => Err(format!("the path {} is not UTF-8, which the store cannot note", run.folder.display())),
+        Err(fault) => Err(fault.to_string()),
+    }
+}
+
+/// Removes the pin of a run whose folder is not there any more, and which the store remembers; false where it remembers none.
+fn unpin_absent(places: &Places, name: &str) -> Result<bool, CliError> {
+    let Ok(store) = places.open_store() else { return Ok(false) };
+    let path = std::path::absolute(name).unwrap_or_default();
+    let is_meant = |note: &RunNote| {
+        let is_named = note.folder == path || note.folder.file_name().is_some_and(|own| own == name);
+        note.pinned && is_named && !history::may_be_run(&note.folder)
+    };
+    let gone: Vec<RunNote> = store.memory().noted_folders().into_iter().filter(is_meant).collect();
+    for note in &gone {
+        store.memory().note_folder(&note.clone().with_pin(false))?;
+        say(&format!("{} is no longer pinned; its folder is not there", note.folder.display()));
+    }
+    store.sync()?;
+    Ok(!gone.is_empty())
 }

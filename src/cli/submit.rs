@@ -1,12 +1,13 @@
 //! `rockface submit`: starts workers through the cluster's own queue.
 
 use std::io::Write;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use clap::Args;
 use rockface_core::Registry;
 
+use super::capacity::MemoryArgs;
 use super::programs::ProgramArgs;
 use super::{CliError, PipelineArgs, say};
 
@@ -24,6 +25,11 @@ pub struct SubmitArgs {
     /// Submit to HyperQueue with these options, such as `--array=0-7 --cpus=4`: one worker for each task.
     #[arg(long, value_name = "OPTIONS", allow_hyphen_values = true)]
     hyperqueue: Option<String>,
+    #[command(flatten)]
+    memory: MemoryArgs,
+    /// The folder that contains the run folders [default: `.rockface/runs` beside the pipeline].
+    #[arg(long, value_name = "DIR")]
+    runs: Option<PathBuf>,
     /// After a failed step, continue with steps that do not depend on it.
     #[arg(long)]
     keep_going: bool,
@@ -52,12 +58,6 @@ impl SubmitArgs {
 
     /// What every worker is told, behind its verb.
     fn arguments(&self, pipeline: &Path) -> Result<Vec<String>, CliError> {
-        let absolute = |path: &Path| {
-            let found =
-                std::path::absolute(path).map_err(|error| CliError::Usage(format!("{}: {error}", path.display())))?;
-            let text = found.to_str().map(str::to_owned);
-            text.ok_or_else(|| CliError::Usage(format!("{} is not UTF-8, and a script has to be", path.display())))
-        };
         let mut told = vec![if pipeline.is_file() { absolute(pipeline)? } else { pipeline.display().to_string() }];
         told.extend(["--store".to_owned(), absolute(&self.pipeline.store_dir())?]);
         let given = &self.pipeline;
@@ -65,10 +65,17 @@ impl SubmitArgs {
             told.extend(values.iter().flat_map(|value| [option.to_owned(), value.clone()]));
         }
         told.extend(given.seed.iter().flat_map(|seed| ["--seed".to_owned(), seed.to_string()]));
-        told.extend(given.remote.url().iter().flat_map(|url| ["--remote".to_owned(), (*url).to_owned()]));
+        told.extend(given.remote.told());
+        told.extend(self.memory.told());
         told.extend(self.keep_going.then(|| "--keep-going".to_owned()));
         told.extend(self.programs.are_refused().then(|| "--no-commands".to_owned()));
         Ok(told)
+    }
+
+    /// What only the one is told that writes the run folder.
+    fn of_run(&self) -> Result<Vec<String>, CliError> {
+        let runs = self.runs.as_deref().map(absolute).transpose()?;
+        Ok(runs.into_iter().flat_map(|runs| ["--runs".to_owned(), runs]).collect())
     }
 
     fn slurm(&self, options: &str, name: &str, arguments: &[String]) -> Result<(), CliError> {
@@ -76,7 +83,8 @@ impl SubmitArgs {
             return Err(CliError::Usage("--slurm: give the options in one line".to_owned()));
         }
         let name: String = name.chars().map(|letter| if letter.is_alphanumeric() { letter } else { '-' }).collect();
-        let roles = roles("[ \"${SLURM_ARRAY_TASK_ID:-0}\" = \"${SLURM_ARRAY_TASK_MIN:-0}\" ]", arguments)?;
+        let roles =
+            roles("[ \"${SLURM_ARRAY_TASK_ID:-0}\" = \"${SLURM_ARRAY_TASK_MIN:-0}\" ]", &self.of_run()?, arguments)?;
         let script = format!(
             "#!/bin/sh\n#SBATCH --job-name=rockface-{name}\n#SBATCH --output=rockface-%A_%a.log\n#SBATCH {options}\n\
              jobs=${{SLURM_CPUS_PER_TASK:-1}}\n{roles}"
@@ -94,11 +102,12 @@ impl SubmitArgs {
     }
 
     fn hyperqueue(&self, options: &str, name: &str, arguments: &[String]) -> Result<(), CliError> {
-        let first = least_task(options)?;
-        let roles = roles(&format!("[ \"${{HQ_TASK_ID:-{first}}}\" = {first} ]"), arguments)?;
+        let options = words(options)?;
+        let first = least_task(&options)?;
+        let roles = roles(&format!("[ \"${{HQ_TASK_ID:-{first}}}\" = {first} ]"), &self.of_run()?, arguments)?;
         let script = format!("jobs=$(echo \"${{HQ_CPUS:-1}}\" | tr ',' ' ' | wc -w)\n{roles}");
         let mut command = vec!["submit".to_owned(), "--name".to_owned(), format!("rockface-{name}")];
-        command.extend(options.split_whitespace().map(str::to_owned));
+        command.extend(options);
         command.extend(["--", "/bin/sh", "-c"].map(str::to_owned));
         command.push(script);
         if self.dry_run {
@@ -110,11 +119,25 @@ impl SubmitArgs {
     }
 }
 
+/// An absolute path as a script can have it.
+fn absolute(path: &Path) -> Result<String, CliError> {
+    let found = std::path::absolute(path).map_err(|error| CliError::Usage(format!("{}: {error}", path.display())))?;
+    let text = found.to_str().map(str::to_owned);
+    text.ok_or_else(|| CliError::Usage(format!("{} is not UTF-8, and a script has to be", path.display())))
+}
+
+/// The words of options as a shell takes them apart.
+fn words(options: &str) -> Result<Vec<String>, CliError> {
+    shlex::split(options).ok_or_else(|| {
+        let message = format!("--hyperqueue: `{options}` is not what a shell reads");
+        CliError::Usage(format!("{message}: close every quote, and put something behind the last backslash"))
+    })
+}
+
 /// The least number of a task of HyperQueue: 0, or what `--array` says, such as `1-4` or `3,8-20:2`.
-fn least_task(options: &str) -> Result<u64, CliError> {
-    let words: Vec<&str> = options.split_whitespace().collect();
+fn least_task(words: &[String]) -> Result<u64, CliError> {
     let given = words.iter().enumerate().find_map(|(place, word)| match word.strip_prefix("--array")? {
-        "" => words.get(place + 1).copied(),
+        "" => words.get(place + 1).map(String::as_str),
         value => value.strip_prefix('='),
     });
     let Some(array) = given else { return Ok(0) };
@@ -127,13 +150,13 @@ fn least_task(options: &str) -> Result<u64, CliError> {
 }
 
 /// One task runs and tells of the run, the others work.
-fn roles(is_first: &str, arguments: &[String]) -> Result<String, CliError> {
+fn roles(is_first: &str, of_run: &[String], arguments: &[String]) -> Result<String, CliError> {
     let program = std::env::current_exe().ok().and_then(|path| path.to_str().map(str::to_owned));
     let program = program.ok_or_else(|| CliError::Usage("the path of this program is not known".to_owned()))?;
-    let words: Vec<String> = arguments.iter().map(|word| quoted(word)).collect();
-    let (program, words) = (quoted(&program), words.join(" "));
+    let line = |words: &[String]| words.iter().map(|word| quoted(word) + " ").collect::<String>();
+    let (program, words, of_run) = (quoted(&program), line(arguments), line(of_run));
     Ok(format!(
-        "if {is_first}; then\n  exec {program} run {words} --jobs \"$jobs\" --quiet\nelse\n  exec {program} work {words} --jobs \"$jobs\"\nfi\n"
+        "if {is_first}; then\n  exec {program} run {words}{of_run}--jobs \"$jobs\" --quiet\nelse\n  exec {program} work {words}--jobs \"$jobs\"\nfi\n"
     ))
 }
 
@@ -167,11 +190,19 @@ mod tests {
             ("--cpus=4 --array 7,3-9:2 --name x", 3),
             ("--array=1_000-2_000", 1000),
         ] {
-            assert_eq!(super::least_task(options).unwrap(), least, "{options}");
+            assert_eq!(super::least_task(&super::words(options).unwrap()).unwrap(), least, "{options}");
         }
         for bad in ["--array=a-b", "--array=1,,2"] {
-            assert!(super::least_task(bad).unwrap_err().to_string().contains("--array=0-7"), "{bad}");
+            assert!(super::least_task(&[bad.to_owned()]).unwrap_err().to_string().contains("--array=0-7"), "{bad}");
         }
+    }
+
+    #[test]
+    fn options_are_taken_apart_as_a_shell_does() {
+        let told = super::words("--array=0-1 --cpus=\"2 compact\" --name 'a b'").unwrap();
+        assert_eq!(told, ["--array=0-1", "--cpus=2 compact", "--name", "a b"]);
+        let fault = super::words("--cpus='2").unwrap_err().to_string();
+        assert!(fault.contains("close every quote"), "{fault}");
     }
 
     #[test]

@@ -11,7 +11,7 @@ use rockface_engine::history::PastRun;
 use rockface_engine::watch::{Report, Role, duration, printable};
 use serde_json::json;
 
-use super::places::Places;
+use super::places::{Places, may_be_store};
 use super::{CliError, beside, say};
 
 /// How long it takes at least until the next look, seconds.
@@ -58,7 +58,18 @@ impl WatchArgs {
         let pipeline = Path::new(&self.what);
         let store = self.places.given_store().unwrap_or_else(|| beside(pipeline).join("store"));
         let before = self.places.find(&self.what).map(|run| run.folder).ok();
-        let mut state = State::of(&store, pipeline);
+        if !may_be_store(&store) {
+            // A past run is told of without its store.
+            let past = if pipeline.is_file() || self.places.given_store().is_some() {
+                None
+            } else {
+                Some(self.places.find(&self.what)?)
+            };
+            let way = "give its folder with --store, or wait until a process has begun";
+            let none = || CliError::Usage(format!("there is no store in {}: {way}", store.display()));
+            return past.ok_or_else(none).and_then(|run| self.past(&run));
+        }
+        let mut state = State::of(&store, pipeline)?;
         if state.is_over() {
             return self.nobody(&state);
         }
@@ -68,7 +79,7 @@ impl WatchArgs {
         }
         loop {
             std::thread::sleep(Duration::from_secs_f64(self.interval));
-            let next = State::of(&store, pipeline);
+            let next = State::of(&store, pipeline)?;
             if next.is_over() {
                 return self.end(&state, before.as_deref());
             }
@@ -148,7 +159,7 @@ impl WatchArgs {
 }
 
 impl State {
-    fn of(store: &Path, pipeline: &Path) -> Self {
+    fn of(store: &Path, pipeline: &Path) -> Result<Self, CliError> {
         let path = std::path::absolute(pipeline).unwrap_or_else(|_| PathBuf::from(pipeline));
         let report = |worker: WorkerReport| {
             let report = serde_json::from_str::<Report>(&worker.text).ok()?;
@@ -156,7 +167,7 @@ impl State {
             let is_meant = report.pipeline == path || Some(report.name.as_str()) == pipeline.to_str();
             is_meant.then_some((worker, report))
         };
-        Self { workers: Store::workers(store).into_iter().filter_map(report).collect() }
+        Ok(Self { workers: Store::workers(store)?.into_iter().filter_map(report).collect() })
     }
 
     fn live(&self) -> impl Iterator<Item = &(WorkerReport, Report)> {

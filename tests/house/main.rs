@@ -27,6 +27,7 @@ mod mistakes;
 mod pairs;
 mod part_rules;
 mod parts;
+mod pins;
 mod reading;
 mod references;
 mod remote;

@@ -226,9 +226,17 @@ fn a_run_is_watched_from_its_files_and_nothing_is_changed() {
     let script = format!("while test ! -e {go}; do sleep 0.02; done; echo {{param.i}} > {{out.f}}");
     let house = counted.step("a", OVER_I.0, OVER_I.1, &script).write(&axis(4));
     let watch = |more: &[&str]| house.rockface(&[["watch", "p.yaml"].as_slice(), more].concat());
+    let (code, out, err) = watch(&["--once"]);
+    assert!(code == Some(2) && out.is_empty() && err.contains("there is no store in .rockface/store"), "{out}{err}");
+    assert!(!house.path(".rockface").exists(), "who watches makes nothing");
+    drop(rockface_cache::Store::open(&house.path(".rockface/store")).unwrap());
     let (code, out, _) = watch(&["--once"]);
     assert_eq!((code, out.as_str()), (Some(0), "nobody works on it, and no run of it has ended yet\n"));
-    assert!(!house.path(".rockface").exists(), "who watches makes nothing");
+    // What cannot be looked at is not nobody: here a file is in the place of the folder.
+    std::fs::write(house.path(".rockface/store/workers"), "").unwrap();
+    let (code, out, err) = watch(&["--once"]);
+    assert!(code == Some(3) && out.is_empty() && err.contains("store/workers"), "{out}{err}");
+    std::fs::remove_file(house.path(".rockface/store/workers")).unwrap();
     let children = vec![start(&house, "run", None), start(&house, "work", None)];
     let begun = Instant::now();
     let seen = loop {
@@ -253,6 +261,54 @@ fn a_run_is_watched_from_its_files_and_nothing_is_changed() {
         assert!(code == Some(0) && out.contains("ended ") && out.contains("failed 0; results in "), "{out}");
     }
     assert_eq!(starts(&house).values().sum::<usize>(), 4);
+}
+
+#[test]
+fn every_option_of_submit_that_is_for_the_work_reaches_the_script() {
+    let house = House::new(SMALL);
+    let place = format!("file://{}", house.path("place").display());
+    let (store, runs) = (house.path("s"), house.path("r"));
+    let of_both: [(&str, &str); 10] = [
+        ("--target", "dem"),
+        ("--set", "steps.face.with.width_m=2"),
+        ("--sweep", "steps.dem.with.cell_m=0.1,0.2"),
+        ("--seed", "3"),
+        ("--store", store.to_str().unwrap()),
+        ("--remote", &place),
+        ("--remote-read-only", ""),
+        ("--no-commands", ""),
+        ("--memory", "0.5"),
+        ("--keep-going", ""),
+    ];
+    let of_run = ("--runs", runs.to_str().unwrap());
+    // None is forgotten here.
+    let (_, help, _) = house.rockface(&["submit", "--help"]);
+    let names = help
+        .lines()
+        .filter_map(|line| line.strip_prefix("      ")?.split(' ').next().filter(|word| word.starts_with("--")));
+    let known = |name: &&str| {
+        of_both.iter().chain([&of_run]).any(|(known, _)| known == name)
+            || ["--slurm", "--hyperqueue", "--dry-run"].contains(name)
+    };
+    let unknown: Vec<&str> = names.filter(|name| !known(name)).collect();
+    assert!(help.contains("--target") && unknown.is_empty(), "{unknown:?}: {help}");
+    let given =
+        of_both.iter().chain([&of_run]).flat_map(|(name, value)| [*name, *value]).filter(|word| !word.is_empty());
+    let arguments: Vec<&str> =
+        ["submit", "p.yaml", "--dry-run", "--slurm", "--array=0-1"].into_iter().chain(given).collect();
+    let (code, script, err) = house.rockface(&arguments);
+    assert_eq!(code, Some(0), "{err}");
+    for verb in [" run ", " work "] {
+        let line = script.lines().find(|line| line.contains("exec ") && line.contains(verb)).unwrap();
+        for (name, value) in of_both {
+            let told = if value.is_empty() { format!(" {name} ") } else { format!(" {name} {value} ") };
+            assert!(line.contains(&told), "{told}: {line}");
+        }
+        assert_eq!(line.contains(&format!(" --runs {} ", of_run.1)), verb == " run ", "{line}");
+    }
+    let (_, out, _) =
+        house.rockface(&["submit", "p.yaml", "--dry-run", "--hyperqueue", "--array=0-1 --cpus=\"2 compact\""]);
+    assert!(out.starts_with("hq submit --name rockface-small --array=0-1 '--cpus=2 compact' -- "), "{out}");
 }
 
 #[test]

@@ -71,7 +71,7 @@ impl Store {
         let told = self.memory().segment_sizes();
         for segment in self.journal().names()? {
             let path = self.journal().path(&segment);
-            let file = match plain::open(&path) {
+            let file = match plain::settled(|| plain::open(&path)) {
                 // A collection has removed it since it was listed.
                 Err(fault) if fault.kind() == ErrorKind::NotFound => continue,
                 file => file.at("open", &path)?,

@@ -1,8 +1,10 @@
-//! What the engine remembers in a store beside blobs and records. Losing any of it costs time, never a result.
+//! What the engine remembers in a store beside blobs and records. Losing any of it costs time, never a result; but the
+//! notes on run folders also tell collections what to keep.
 //!
 //! | what | where | written by |
 //! |---|---|---|
 //! | runs: a note by the key of a plan | segments | [`Memory::remember_run`] |
+//! | run folders: a note by the path of each | segments | [`Memory::note_folder`] |
 //! | notes beside a record, on what decides nothing of it | segments | [`Memory::annotate`] |
 //! | answers: the result of a former command and the state of all it rests on | `answers/` | [`Memory::remember_answer`] |
 //! | trees: long texts, parsed | `trees/` | the engine, in the folder [`trees`] |
@@ -13,6 +15,7 @@
 mod looks;
 mod mark;
 mod memo;
+mod runs;
 
 use std::path::{Path, PathBuf};
 
@@ -25,6 +28,7 @@ use crate::{Digest, Store, plain};
 pub use looks::{Seen, State};
 pub use mark::mark;
 pub use memo::{Grounds, recall};
+pub use runs::RunNote;
 
 /// The folder of parsed texts.
 pub(crate) const TREES: &str = "trees";
@@ -55,7 +59,7 @@ impl Memory<'_> {
         self.payload(Kind::Note, plan_key)
     }
 
-    /// The latest notes on runs, in the order of the keys of their plans.
+    /// The latest notes on runs and on run folders, in the order of the keys of their plans.
     pub fn recalled_runs(&self) -> Vec<Value> {
         let keys = self.store.journal().with_index(|index| index.names(Kind::Note));
         keys.iter().filter_map(|key| self.recalled_run(key)).collect()

@@ -55,6 +55,11 @@ pub trait Backend: std::fmt::Debug + Send + Sync {
         false
     }
 
+    /// What to do where it refuses access.
+    fn way_in(&self) -> String {
+        "give credentials that may do this by the environment (AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY for s3://), or add --remote-read-only if they may only read".to_owned()
+    }
+
     /// The bytes of an object, at most `limit` of them: a larger one is refused before it is read whole.
     fn get(&self, name: &str, limit: u64) -> Result<Vec<u8>, BackendError>;
 
@@ -76,11 +81,9 @@ impl BackendError {
     pub(crate) fn at(self, action: &'static str, backend: &dyn Backend) -> StoreError {
         let url = backend.url().to_owned();
         let hint = match &self {
-            Self::Forbidden(_) => {
-                "; give credentials that may do this by the environment (AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY for s3://), or add --remote-read-only if they may only read"
-            }
-            Self::Unavailable(_) => "; check the address and the network",
-            _ => "",
+            Self::Forbidden(_) => format!("; {}", backend.way_in()),
+            Self::Unavailable(_) => "; check the address and the network".to_owned(),
+            _ => String::new(),
         };
         StoreError::Remote { action, url, why: format!("{self}{hint}") }
     }

@@ -2,12 +2,12 @@
 
 use std::fs;
 use std::io::{self, ErrorKind, Read, Write};
-use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::time::UNIX_EPOCH;
 
 use super::backend::{Backend, BackendError, Object};
 use crate::plain;
+use crate::sharing::{FILE, Sharing};
 
 /// Starts the names of files that are being written.
 const HALF_WRITTEN: &str = ".new-";
@@ -50,7 +50,7 @@ impl Folder {
                 Err(BackendError::Foreign(text))
             }
             Err(fault) if fault.kind() == ErrorKind::NotFound => Ok(false),
-            Err(fault) => Err(told(&fault)),
+            Err(fault) => Err(told(path, &fault)),
         }
     }
 
@@ -64,23 +64,38 @@ impl Folder {
         let path = self.path(name)?;
         let folder = path.parent().unwrap_or(&self.root);
         let write = || {
-            fs::create_dir_all(folder)?;
+            // Others use it, who may be other users.
+            let sharing = self.make(folder)?;
             let mut builder = tempfile::Builder::new();
-            // Others read it, who may be other users.
-            builder.prefix(HALF_WRITTEN).permissions(fs::Permissions::from_mode(0o666));
+            builder.prefix(HALF_WRITTEN).permissions(sharing.permissions());
             let mut file = builder.tempfile_in(folder)?;
+            sharing.give(file.as_file(), FILE)?;
             file.write_all(bytes)?;
             file.as_file().sync_all()?;
             name_it(file, &path)
         };
-        write().map_err(|fault| told(&fault))
+        write().map_err(|fault| told(&path, &fault))
+    }
+
+    /// Makes the place, and a folder in it with those around it. They are open to whom the place is.
+    fn make(&self, folder: &Path) -> io::Result<Sharing> {
+        fs::create_dir_all(&self.root)?;
+        let sharing = Sharing::of(&self.root);
+        let mut path = self.root.clone();
+        for part in folder.strip_prefix(&self.root).into_iter().flatten() {
+            path.push(part);
+            sharing.folder(&path)?;
+        }
+        Ok(sharing)
     }
 }
 
-fn told(fault: &io::Error) -> BackendError {
+fn told(path: &Path, fault: &io::Error) -> BackendError {
     match fault.kind() {
         ErrorKind::NotFound => BackendError::Missing,
-        ErrorKind::PermissionDenied | ErrorKind::ReadOnlyFilesystem => BackendError::Forbidden(fault.to_string()),
+        ErrorKind::PermissionDenied | ErrorKind::ReadOnlyFilesystem => {
+            BackendError::Forbidden(format!("{}: {fault}", path.display()))
+        }
         _ => BackendError::Unavailable(fault.to_string()),
     }
 }
@@ -90,10 +105,19 @@ impl Backend for Folder {
         &self.url
     }
 
+    fn way_in(&self) -> String {
+        let root = self.root.display();
+        format!(
+            "the owner of that folder has to let you read and write there: {root} and what is in it have the same modes for all who share it (`chmod -R g+rwX {root}`); or add --remote-read-only if you may only read"
+        )
+    }
+
     fn get(&self, name: &str, limit: u64) -> Result<Vec<u8>, BackendError> {
-        let file = plain::open(&self.path(name)?).map_err(|fault| told(&fault))?;
+        let path = self.path(name)?;
+        let told = |fault: io::Error| told(&path, &fault);
+        let file = plain::open(&path).map_err(told)?;
         let mut bytes = Vec::new();
-        file.take(limit.saturating_add(1)).read_to_end(&mut bytes).map_err(|fault| told(&fault))?;
+        file.take(limit.saturating_add(1)).read_to_end(&mut bytes).map_err(told)?;
         if bytes.len() as u64 > limit { Err(BackendError::TooLarge { limit }) } else { Ok(bytes) }
     }
 
@@ -118,12 +142,12 @@ impl Backend for Folder {
             if !self.is_folder(&path)? {
                 continue;
             }
-            let entries = match fs::read_dir(path) {
+            let entries = match fs::read_dir(&path) {
                 Err(fault) if fault.kind() == ErrorKind::NotFound => continue,
-                entries => entries.map_err(|fault| told(&fault))?,
+                entries => entries.map_err(|fault| told(&path, &fault))?,
             };
             for entry in entries {
-                let entry = entry.map_err(|fault| told(&fault))?;
+                let entry = entry.map_err(|fault| told(&path, &fault))?;
                 let Some(name) = entry.file_name().to_str().map(str::to_owned) else { continue };
                 // Removed since it was listed, or no file of ours: a link is not followed.
                 let Ok(meta) = entry.metadata() else { continue };
@@ -141,7 +165,8 @@ impl Backend for Folder {
     }
 
     fn delete(&self, name: &str) -> Result<(), BackendError> {
-        match fs::remove_file(self.path(name)?).map_err(|fault| told(&fault)) {
+        let path = self.path(name)?;
+        match fs::remove_file(&path).map_err(|fault| told(&path, &fault)) {
             Err(BackendError::Missing) => Ok(()),
             done => done,
         }
@@ -151,7 +176,30 @@ impl Backend for Folder {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::os::unix::fs::symlink;
+    use std::os::unix::fs::{MetadataExt, PermissionsExt, symlink};
+
+    #[test]
+    fn objects_and_their_folders_are_open_to_whom_the_place_is() {
+        for (root, file, folder) in [(0o700, 0o600, 0o700), (0o2770, 0o660, 0o2770), (0o755, 0o644, 0o755)] {
+            let desk = tempfile::tempdir().unwrap();
+            fs::set_permissions(desk.path(), fs::Permissions::from_mode(root)).unwrap();
+            let place = Folder::new(desk.path());
+            place.put("blobs/aa/1", b"blob").unwrap();
+            assert!(place.create("claims/1", b"claim").unwrap());
+            let mode = |name: &str| fs::metadata(desk.path().join(name)).unwrap().mode() & 0o7777;
+            let modes = ["blobs/aa/1", "claims/1", "blobs", "blobs/aa", "claims"].map(mode);
+            assert_eq!(modes, [file, file, folder, folder, folder], "{root:o}");
+        }
+    }
+
+    #[test]
+    fn a_place_that_refuses_access_names_the_folder_and_no_credentials() {
+        let place = Folder::new(Path::new("/shared/place"));
+        let fault = told(Path::new("/shared/place/format"), &ErrorKind::PermissionDenied.into());
+        let text = fault.at("write to", &place).to_string();
+        assert!(text.contains("/shared/place/format: ") && text.contains("chmod -R g+rwX /shared/place"), "{text}");
+        assert!(!text.contains("credentials") && text.contains("--remote-read-only"), "{text}");
+    }
 
     #[test]
     fn nothing_is_read_written_or_removed_through_a_linked_folder() {

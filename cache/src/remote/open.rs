@@ -14,6 +14,7 @@ use super::traffic::{Counted, Traffic};
 use super::upload::Uploader;
 use super::{AT_ONCE, FORMAT, FORMAT_NAME, INDEX, OBJECT_LIMIT, RECORDS, batch_name, digest_of, each_at_once};
 use crate::error::StoreError;
+use crate::sharing::{FILE, Sharing};
 use crate::{Digest, plain};
 
 /// The folder of a store in which batches of remote places are kept, so that each is fetched once.
@@ -127,9 +128,10 @@ const WRITE: &str = "write to";
 /// Where batches of a place are kept in a store.
 fn cache_folder(store: &Path, url: &str) -> Result<PathBuf, StoreError> {
     let remotes = store.join(REMOTES);
-    plain::folder(&remotes)?;
+    let sharing = Sharing::of(store);
+    plain::folder(&remotes, sharing)?;
     let own = remotes.join(&Digest::of(url.as_bytes()).to_string()[..16]);
-    plain::folder(&own)?;
+    plain::folder(&own, sharing)?;
     Ok(own)
 }
 
@@ -246,6 +248,7 @@ impl Shared {
         let file = tempfile::Builder::new().prefix(HALF_WRITTEN).tempfile_in(folder);
         let write = |mut file: tempfile::NamedTempFile| {
             std::io::Write::write_all(&mut file, bytes)?;
+            Sharing::of(folder).give(file.as_file(), FILE)?;
             file.persist(folder.join(name.to_string())).map_err(|fault| fault.error)
         };
         drop(file.and_then(write));

@@ -64,6 +64,10 @@ impl Counted {
 }
 
 impl Backend for Counted {
+    fn way_in(&self) -> String {
+        self.backend.way_in()
+    }
+
     fn url(&self) -> &str {
         self.backend.url()
     }

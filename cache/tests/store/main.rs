@@ -4,6 +4,7 @@ mod care;
 mod crash;
 mod faults;
 mod hostile;
+mod modes;
 
 use std::collections::BTreeMap;
 use std::fs;

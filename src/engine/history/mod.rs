@@ -24,6 +24,8 @@ pub use points::{POINTS_FILE, table as points_table};
 pub use provenance::crate_metadata;
 pub use torn::digests_told;
 
+use rockface_cache::{Digest, RunNote};
+
 use crate::diagnostic::nearest;
 
 /// Marks a run whose results are kept whatever their age.
@@ -80,7 +82,7 @@ pub enum HistoryError {
         /// The path of the file.
         path: PathBuf,
         /// The digest of what the run made.
-        digest: rockface_cache::Digest,
+        digest: Digest,
         /// Where the run is reported.
         manifest: PathBuf,
     },
@@ -93,7 +95,7 @@ pub enum HistoryError {
         /// The path of the file.
         path: PathBuf,
         /// The digest of what the run read.
-        digest: rockface_cache::Digest,
+        digest: Digest,
     },
     /// An input file that no archive can have in its place.
     #[error("{} cannot be archived: {why}; rename or move it and run again, or archive without --inputs", path.display())]
@@ -138,6 +140,23 @@ impl PastRun {
         let pin = folder.join(PIN);
         let pinned = pin.try_exists().map_err(HistoryError::io("look at", &pin))?;
         Ok(Self { name, folder, manifest, pinned })
+    }
+
+    /// The keys of the records that it names.
+    pub fn keys(&self) -> impl Iterator<Item = Digest> {
+        self.manifest.steps.iter().filter_map(|done| done.key)
+    }
+
+    /// When it finished, seconds since 1970; 0 where its manifest does not tell.
+    pub fn finished_unix_s(&self) -> u64 {
+        let finished = humantime::parse_rfc3339(&self.manifest.finished).ok();
+        let since = finished.and_then(|at| at.duration_since(std::time::UNIX_EPOCH).ok());
+        since.map_or(0, |since| since.as_secs())
+    }
+
+    /// What a store is to remember of it, with its folder at this absolute path.
+    pub fn note(&self, folder: &Path) -> RunNote {
+        RunNote::new(folder, self.keys(), self.finished_unix_s(), self.pinned)
     }
 
     /// Pins the run or removes its pin: its results stay in the store while it is pinned.

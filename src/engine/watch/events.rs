@@ -48,7 +48,11 @@ const EVENTS: &[(&str, &str, &[Member])] = &[
         "An instance could start and waits for memory.",
         &[STEP, member("need_bytes", "integer", "what it is expected to need")],
     ),
-    ("elsewhere", "Another process has the instance, or has had it: it is not run here for now.", &[STEP]),
+    (
+        "elsewhere",
+        "Another process has the instance, or has had it: it is not run here for now. A `started` of it before is taken back.",
+        &[STEP],
+    ),
     ("waiting", "Another process computes the same; this one waits for it.", &[STEP]),
     ("warning", "Something may be wrong.", &[STEP, member("text", "string", "the sentence")]),
     (

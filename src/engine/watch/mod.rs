@@ -58,7 +58,8 @@ pub enum Event {
         /// What it is expected to need, bytes.
         need_bytes: u64,
     },
-    /// Another process has the instance, or has had it: it is not run here for now.
+    /// Another process has the instance, or has had it: it is not run here for now. An [`Event::Started`] of it before is taken
+    /// back.
     Elsewhere {
         /// The step instance, as `step[axis=item]`.
         step: String,

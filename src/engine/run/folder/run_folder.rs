@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 use std::time::SystemTime;
 
-use rockface_cache::{Digest, SafeName, SafePath, Store};
+use rockface_cache::{Digest, RunNote, SafeName, SafePath, Store};
 use rockface_core::{Entry, Look};
 use serde_json::json;
 use tempfile::NamedTempFile;
@@ -18,7 +18,7 @@ use super::made::{self, Made};
 use super::manifest_writer;
 use super::unfinished::{self, Unfinished};
 use crate::history::{
-    Manifest, POINTS_FILE, REPORT_FILE, RunContents, crate_metadata, latest_of, points_table, readable_name,
+    Manifest, POINTS_FILE, REPORT_FILE, RunContents, crate_metadata, is_pinned, latest_of, points_table, readable_name,
 };
 use crate::pipeline::{LogLevel, Overrides, Pipeline};
 use crate::plan::Plan;
@@ -117,16 +117,30 @@ pub fn finish(
         && !summary.failed
         && let Some(former) = former(store, &key, &runs)?
     {
+        if store.memory().noted_folder(&former.folder).is_none() {
+            // A version that knew no such notes has written it.
+            note(store, summary, &former.folder, is_pinned(&former.folder))?;
+        }
         store.sync()?;
         point_latest(about.runs, &former.folder)?;
         return Ok(former);
     }
     let finished = Writer { plan, summary, store, about, lost, stop }.write(&key)?;
+    note(store, summary, &finished.folder, false)?;
     if !summary.failed {
         store.memory().remember_run(&key, &json!(finished))?;
-        store.sync()?;
     }
+    store.sync()?;
     Ok(finished)
+}
+
+/// Lets the store know of a run folder, so that collections find it and what it names.
+fn note(store: &Store, summary: &Summary, folder: &Path, pinned: bool) -> Result<(), RunError> {
+    let finished_s = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).map_or(0, |since| since.as_secs());
+    let keys = summary.instances.iter().filter_map(|result| result.key);
+    // Under a path that is not UTF-8 it is found only in its folder of runs.
+    store.memory().note_folder(&RunNote::new(folder, keys, finished_s, pinned))?;
+    Ok(())
 }
 
 /// A former run of the same key, if its folder is in `runs` and all that was left in it is what it was.
