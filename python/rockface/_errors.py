@@ -28,7 +28,7 @@ class PipelineError(RockfaceError):
 
 
 class StoreError(RockfaceError):
-    """The store or the disk failed; what was finished is kept."""
+    """The store or the disk failed, and what was finished is kept; or an output is not there: not kept, or collected."""
 
 
 @dataclass(frozen=True)

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import html
 import io
+import itertools
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from difflib import get_close_matches
 from enum import Enum
 from typing import Any
 
@@ -44,6 +46,9 @@ __all__ = [
 
 Array = NDArray[Any]
 Cell = float | str | bool | None
+
+SHOWN_FILES = 5
+"""Files that the text of several names."""
 
 
 class Frame(str, Enum):
@@ -129,6 +134,14 @@ def unmasked(values: Any) -> Array:
     return np.asarray(values)
 
 
+def _lacking(what: str, name: object, known: Iterable[str]) -> KeyError:
+    """That there is no such thing, and what there is."""
+    names = list(known)
+    near = get_close_matches(str(name), names, 3, 0.6)
+    listed = ", ".join(near or names[:8]) + (", …" if not near and len(names) > 8 else "")
+    return KeyError(f"no {what} `{name}`; there are {listed}" if names else f"no {what} `{name}`; there are none")
+
+
 @dataclass(frozen=True)
 class Grid:
     """Square cells of a raster; rows go down (Y decreases), columns to the right (X increases)."""
@@ -169,6 +182,14 @@ class Grid:
         return self.cell_m, 0.0, self.left_m, 0.0, -self.cell_m, self.top_m
 
 
+def _on(grid: Grid, values: Any) -> Array:
+    """Values as a band of this grid."""
+    band = unmasked(values)
+    if band.shape != grid.shape:
+        raise ValueError(f"the array has the shape {band.shape}, the grid {grid.rows} rows x {grid.columns} columns")
+    return band
+
+
 @dataclass(frozen=True, eq=False)
 class Raster(Placed):
     """One or more bands on a grid. NaN stands for no value in bands of floats."""
@@ -185,11 +206,11 @@ class Raster(Placed):
     @staticmethod
     def single(grid: Grid, values: Array, name: str = "value", *, quantity: str = "value", frame: Frame = Frame.WALL) -> Raster:
         """A raster of one band."""
-        return Raster(grid, frame, quantity, {name: unmasked(values)})
+        return Raster(grid, frame, quantity, {name: _on(grid, values)})
 
     def like(self, values: Array, name: str = "value", *, quantity: str | None = None) -> Raster:
         """A raster of one band on the same grid and in the same frame."""
-        return Raster(self.grid, self.frame, quantity or name, {name: unmasked(values)}, self.georeference)
+        return Raster(self.grid, self.frame, quantity or name, {name: _on(self.grid, values)}, self.georeference)
 
     @property
     def values(self) -> Array:
@@ -205,6 +226,8 @@ class Raster(Placed):
         return np.array(self.values, dtype=dtype) if copy else np.asarray(self.values, dtype=dtype)
 
     def __getitem__(self, band: str) -> Array:
+        if band not in self.bands:
+            raise _lacking("band", band, self.bands)
         return self.bands[band]
 
     def to_xarray(self) -> Any:
@@ -360,6 +383,8 @@ class DepthMap(Placed):
         return np.array(self.z, dtype=dtype) if copy else np.asarray(self.z, dtype=dtype)
 
     def __getitem__(self, channel: str) -> NDArray[np.float32]:
+        if channel != "Z" and channel not in self.channels:
+            raise _lacking("channel", channel, ["Z", *self.channels])
         return self.z if channel == "Z" else self.channels[channel]
 
     def with_channels(self, **channels: Array) -> DepthMap:
@@ -438,7 +463,7 @@ class Meshes(Placed):
         for part in self.parts:
             if part.name == name:
                 return Mesh(self.frame, part.vertices, part.triangles, georeference=self.georeference)
-        raise KeyError(name)
+        raise _lacking("mesh", name, (part.name for part in self.parts))
 
     def __repr__(self) -> str:
         return f"Meshes({len(self.parts)} meshes, {self._where()})"
@@ -523,7 +548,7 @@ class Cameras(Placed):
         for image in self.images:
             if image.name == name:
                 return image
-        raise KeyError(name)
+        raise _lacking("image", name, (image.name for image in self.images))
 
     def sensor(self, image: Image | str) -> Sensor:
         """The sensor of an image."""
@@ -776,10 +801,15 @@ class Files(Mapping[str, bytes]):
     files: dict[str, bytes]
 
     def __getitem__(self, name: str) -> bytes:
+        if name not in self.files:
+            raise _lacking("file", name, self.files)
         return self.files[name]
 
     def __repr__(self) -> str:
-        return f"Files({', '.join(f'{name}: {len(data)} bytes' for name, data in self.files.items())})"
+        first = [f"{name}: {len(data)} bytes" for name, data in itertools.islice(self.files.items(), SHOWN_FILES)]
+        more = len(self.files) - len(first)
+        rest = [f"… and {more} more, {sum(map(len, self.files.values()))} bytes in all"] if more else []
+        return f"Files({', '.join(first + rest)})"
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.files)
@@ -796,6 +826,8 @@ class Record:
     data: dict[str, Any]
 
     def __getitem__(self, key: str) -> Any:
+        if key not in self.data:
+            raise _lacking("key", key, self.data)
         return self.data[key]
 
     def __repr__(self) -> str:

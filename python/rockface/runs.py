@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any
 
 from rockface import _program
-from rockface._errors import RockfaceError
-from rockface.artefacts import Picture, Table
+from rockface._errors import PipelineError, RockfaceError, StoreError
+from rockface.artefacts import Inventory, Picture, Table
 from rockface.files import Artefact, decode, mapped
 from rockface.plans import Explanation, PlannedStep, explain, plan
 
@@ -130,15 +130,19 @@ class Outputs(Sequence[Any]):
         return rest[0] if len(steps) == 1 else rest
 
     def table(self) -> Table:
-        """Tables of all points as one; the items of the axes are the first columns."""
-        records = []
+        """Tables of all points as one, or the properties of inventories; the items of the axes are the first columns."""
+        records: list[dict[str, Any]] = []
+        columns: dict[str, None] = {}
         typed = _typed(self.points)
         for point, value in self.items():
-            if not isinstance(value, Table):
-                raise RockfaceError(f"`{self._port}` is a {type(value).__name__}, not a table")
+            if not isinstance(value, Table | Inventory):
+                raise RockfaceError(f"`{self._port}` is a {type(value).__name__}, neither a table nor an inventory")
             items = {axis: typed[axis][item] for axis, item in point.items()}
-            records += [{**items, **row} for row in value]
-        return Table.of(records)
+            rows = value.table() if isinstance(value, Inventory) else value
+            columns.update(dict.fromkeys([*items, *rows.columns]))
+            records += [{**items, **row} for row in rows]
+        # Columns are told by what has no row too.
+        return Table(list(columns), [[record.get(name) for name in columns] for record in records])
 
     def __repr__(self) -> str:
         if not self._steps:
@@ -291,7 +295,11 @@ class Run:
         return file if file.is_file() else None
 
     def artefact(self, step: Step, port: str) -> Artefact:
-        """An output of a step instance, from the run folder or else from the store."""
+        """An output of a step instance, from the run folder or else from the store.
+
+        Raises:
+            StoreError: neither has it: it was not kept, or was collected.
+        """
         kind = step.outputs[port]
         file = self._file(step, port)
         if file is not None:
@@ -299,7 +307,11 @@ class Run:
         label = f"{step.step}.{port}" + step.label.removeprefix(step.step)
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder) / "output"
-            _program.call("export", str(self.folder), label, str(file), "--plain", "--store", str(self.store))
+            try:
+                _program.call("export", str(self.folder), label, str(file), "--plain", "--store", str(self.store))
+            except PipelineError as error:
+                # The run itself names the output: what is wrong is that the store has it no longer, or never had it.
+                raise StoreError(str(error)) from error
             return decode(kind, memoryview(file.read_bytes()))
 
     def table(self, *axes: str) -> Table:
@@ -530,7 +542,7 @@ def find(run: str | Path = "latest", *, runs: str | Path | None = None, store: s
 
     Args:
         run: a run folder, its name, a part of it that fits no other; a pipeline, by its file or its name, for its last run; or
-            `latest`; `~1` after the last two means the one before.
+            `latest`, or `latest-NAME` as the link in the folder of runs; `~1` after the last three means the one before.
         runs: the folder of runs, by default `.rockface/runs` of the working folder, and of the folders in it.
         store: the store of results, by default the one that the run names, or that is beside the folder of runs.
 
@@ -551,8 +563,9 @@ def find(run: str | Path = "latest", *, runs: str | Path | None = None, store: s
     of, _, back = str(run).rpartition("~")
     if of and back.isdecimal():
         return _before(of, int(back), folders, runs, store)
-    links = [folder / ("latest" if str(run) == "latest" else f"latest-{run}") for folder in folders]
-    links = [link for link in links if _is_run(link)]
+    name = str(run)
+    linked = [name] if name == "latest" else [f"latest-{name}", *([name] if name.startswith("latest-") else [])]
+    links = [link for link in (folder / link for link in linked for folder in folders) if _is_run(link)]
     if links:
         return Run(max(links, key=lambda link: link.lstat().st_mtime), store)
     names = sorted({(path.name, path.resolve()) for path in _entries(folders)})

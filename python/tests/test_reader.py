@@ -207,3 +207,32 @@ def test_what_lies_in_the_world_says_where(small):
         back = decode(kind, memoryview(write(kind, moved)))
         assert back.written_frame() == frame
         assert back.crs == "EPSG:28356+5711"
+
+
+def test_what_is_not_there_is_told_with_what_is(small):
+    for look, told in [
+        (lambda: small["change.raster[sigma_px=0.4]"]["height"], "no band `height`; there are difference"),
+        (lambda: small["left.depth"]["rang"], "no channel `rang`; there are range"),
+        (lambda: small["survey.cameras"]["top"], "no image `top`; there are left, right"),
+        (lambda: small["rockfall.pieces"]["zz"], "no mesh `zz`; there are "),
+        (lambda: rockface.Files({"a.csv": b""})["b.tif"], r"no file `b\.tif`; there are a\.csv"),
+        (lambda: rockface.Files({})["a"], "there are none"),
+        (lambda: rockface.Record("candidates", {"seed": 1})["x"], "no key `x`; there are seed"),
+    ]:
+        with pytest.raises(KeyError, match=told):
+            look()
+    assert rockface.Files({"a": b"1"}).get("b") is None
+
+
+def test_many_files_have_a_short_text():
+    files = rockface.Files({f"tiles/{number}.npz": b"12" for number in range(2000)})
+    assert repr(files).startswith("Files(tiles/0.npz: 2 bytes, tiles/1.npz: 2 bytes")
+    assert repr(files).endswith("… and 1995 more, 4000 bytes in all)")
+
+
+def test_a_raster_has_the_shape_of_its_grid(small):
+    raster = small["change.raster[sigma_px=0.4]"]
+    with pytest.raises(ValueError, match=r"has the shape \(3, 3\), the grid 40 rows x 60 columns"):
+        raster.like(np.zeros((3, 3)))
+    with pytest.raises(ValueError, match="has the shape"):
+        rockface.Raster.single(raster.grid, np.zeros(2400))

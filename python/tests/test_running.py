@@ -275,6 +275,8 @@ def test_runs_beside_pipelines_in_folders_are_found(folder, monkeypatch):
     assert rockface.open("sub/mein Lauf.yaml").folder == second.folder
     assert rockface.open("mein Lauf.yaml").folder == first.folder
     assert rockface.open("latest~1").folder == first.folder
+    assert rockface.open("latest-b").folder == second.folder
+    assert rockface.open("latest-b~0").folder == second.folder
     third = rockface.run("sub/mein Lauf.yaml", seed=5, store="st", progress=False)
     assert rockface.open("sub/mein Lauf.yaml~1").folder == rockface.open("b~1").folder == second.folder
     with pytest.raises(rockface.RockfaceError, match="has 2 runs here"):
@@ -286,6 +288,41 @@ def test_runs_beside_pipelines_in_folders_are_found(folder, monkeypatch):
     none = rockface.run("mein Lauf.yaml", outputs="none", store="st", runs="ru", seed=4, progress=False)
     monkeypatch.chdir(folder / "sub")
     assert len(none["face.mesh"].vertices) > 0
+
+
+def test_an_output_that_was_not_kept_is_an_error_of_the_store(folder):
+    text = "{rockface: 1, name: lost, steps: {face: {stage: synthesise-face, keep: false, with: {spacing_m: 0.5}}, "
+    text += "dem: {stage: rasterise-dem, with: {cell_m: 0.5}, in: {surface: face.mesh}}}}"
+    (folder / "lost.yaml").write_text(text)
+    run = rockface.run("lost.yaml", progress=False)
+    with pytest.raises(rockface.StoreError, match="not kept"):
+        run["face.mesh"]
+
+
+def test_inventories_of_all_points_are_one_table(folder):
+    text = """
+rockface: 1
+name: falls
+axes: {epoch: {count: 2}, kind: {items: [event, quiet]}}
+steps:
+  face: {stage: synthesise-face, with: {width_m: 4, height_m: 3, spacing_m: 0.1}}
+  blocks: {stage: generate-blocks, over: [epoch]}
+  fallen: {stage: remove-blocks, with: {count: 2, min_volume_m3: 0.002}, in: {mesh: face.mesh, blocks: blocks.blocks}}
+  nothing: {stage: select-features, with: {count: 0}, in: {inventory: fallen.truth}}
+  truth: {stage: select-features, in: {inventory: {by: kind, event: fallen.truth, quiet: nothing.inventory}}}
+"""
+    (folder / "falls.yaml").write_text(text)
+    run = rockface.run("falls.yaml", progress=False)
+    table = run["truth.inventory"].table()
+    assert table.columns[:2] == ["epoch", "kind"]
+    assert set(table["kind"]) == {"event"}
+    assert set(table["epoch"]) == {0, 1}
+    assert (table["removed_m3"] >= 0.002).all()
+    empty = run["nothing.inventory"].table()
+    assert len(empty) == 0
+    assert "removed_m3" in empty.columns
+    with pytest.raises(rockface.RockfaceError, match="neither a table nor an inventory"):
+        run["fallen.mesh"].table()
 
 
 def test_a_damaged_manifest_hides_no_other_run(pipeline):

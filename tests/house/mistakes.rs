@@ -146,6 +146,8 @@ fn slips_are_answered_with_what_was_meant() {
         (&["plan", "data.yaml"], "`--set params.data=...` gives another path"),
         (&["export", "latest", "change", "x.tif"], "did you mean `change.raster`?"),
         (&["export", "latest", "dem", "x.tif"], "of `dem` it has dem[epoch="),
+        (&["plan", "p.yaml", "--sweep", "seed=1,2,3"], "swept values change no random numbers"),
+        (&["plan", "p.yaml", "--sweep", "seed=1,2,3"], "a run for each seed: `--seed 1`"),
         (&["inspect", "latest"], "`latest` is a run: `rockface runs show latest`"),
     ] {
         let (code, _, err) = house.rockface(arguments);

@@ -17,11 +17,10 @@ impl Resolver<'_> {
         let unused = self.document().axes.iter().enumerate().filter(|(index, _)| !used.contains(index));
         let told = |(_, axis): (usize, &Axis)| {
             let name = &axis.name.text;
-            let fault = Diagnostic::at(axis.name.span, format!("no step depends on axis `{name}`")).hint(format!(
-                "say `over: [{name}]` on the step where it begins, mention ${{{name}}} in a `with`, or remove it"
-            ));
             // Who declares an axis does not mean a parameter.
             let is_swept = self.sources.get(axis.name.span.source).is_some_and(|source| source.name == "--sweep");
+            let fault = Diagnostic::at(axis.name.span, format!("no step depends on axis `{name}`"));
+            let fault = fault.hint(way_out(axis, is_swept));
             let near = is_swept.then(|| self.parameter_like(name)).flatten();
             let near = near.map(|path| format!("did you mean `{path}`?"));
             near.into_iter().fold(fault, Diagnostic::hint)
@@ -80,6 +79,28 @@ impl Resolver<'_> {
             entries.flat_map(|(key, node)| unused_entries(&key.name, node, &used, &document.written_mentions));
         unused.filter_map(told).chain(entries).collect()
     }
+}
+
+/// What to do with an axis that no step depends on. Where it does not reseed, `over:` alone would repeat a step with the same random numbers.
+fn way_out(axis: &Axis, is_swept: bool) -> String {
+    let name = &axis.name.text;
+    if axis.reseeds {
+        return format!(
+            "say `over: [{name}]` on the step where it begins, mention ${{{name}}} in a `with`, or remove it"
+        );
+    }
+    let draws = format!(
+        "swept values change no random numbers, so `over: [{name}]` alone would make the same again; for other random numbers"
+    );
+    if is_swept && axis.label == "seed" {
+        return format!(
+            "{draws}, `axes: {{replicate: {{count: 3}}}}` and `over: [replicate]` on the steps that draw; or a run for each seed: `--seed 1`, `--seed 2`"
+        );
+    }
+    format!(
+        "mention ${{{name}}} in a `with`, or remove it; {draws}, declare it as `{{count: 3}}` or with `reseeds: true`, and say `over: [{name}]` on the step \
+         where it begins"
+    )
 }
 
 /// Of a map that is mentioned by single entries only: those that nothing mentions, not even what values of the command line took the place of

@@ -1,12 +1,13 @@
 //! Data sets for training: tiles cut out of comparisons, their split and balance, and the files they are handed over in.
 //!
 //! `tiles` cuts, `split` says which tiles are for training, validation and test, `npz` writes NumPy archives, `catalogue`
-//! a STAC catalogue, `card` the data set card, `checksums` the list of SHA-256 sums.
+//! a STAC catalogue, `card` the data set card, `checksums` the list of SHA-256 sums, `outlines` says how finely a truth is drawn.
 
 pub mod card;
 pub mod catalogue;
 pub mod checksums;
 pub mod npz;
+pub mod outlines;
 pub mod split;
 pub mod tiles;
 

@@ -1,5 +1,7 @@
 //! Which tiles are for training, validation and test, so that no two of them share an event, or a place.
 
+use std::ops::Range;
+
 /// The three parts of a data set.
 pub const PARTS: [&str; 3] = ["train", "validation", "test"];
 
@@ -24,21 +26,51 @@ pub fn parts(count: usize, shares: [f64; 3]) -> Vec<usize> {
     sizes.iter().enumerate().flat_map(|(part, size)| vec![part; *size]).collect()
 }
 
-/// The part of a stretch of cells [first, first + side) of a row of `length` cells cut into three by shares from the left;
-/// `None` where it lies in two of them.
-pub fn by_place(first: usize, side: usize, length: usize, shares: [f64; 3]) -> Option<usize> {
-    let total: f64 = shares.iter().sum();
-    let mut end = 0.0;
-    for (part, share) in shares.iter().enumerate().filter(|(_, share)| **share > 0.0) {
-        let begin = end;
-        end += share / total * length as f64;
-        // Rounded so that neighbours share a whole cell border.
-        let (begin, end) = (begin.round() as usize, end.round() as usize);
-        if first >= begin && first + side <= end {
-            return Some(part);
+/// The part of each thing by a number from 0 to 1 of its own, and which were lent: the shares are stretches of 0 to 1, so a
+/// thing stays where it is whatever others there are. A part with a share that would have none is lent the nearest thing of
+/// a part with several.
+pub fn by_numbers(numbers: &[f64], shares: [f64; 3]) -> (Vec<usize>, Vec<usize>) {
+    let stretches = stretches(shares);
+    let within = |number: f64| {
+        let found = (0..3).find(|part| shares[*part] > 0.0 && number < stretches[*part][1]);
+        found.or_else(|| (0..3).rev().find(|part| shares[*part] > 0.0)).unwrap_or(0)
+    };
+    let mut parts: Vec<usize> = numbers.iter().map(|number| within(*number)).collect();
+    let mut lent = Vec::new();
+    for part in (0..3).filter(|part| shares[*part] > 0.0) {
+        if parts.contains(&part) {
+            continue;
+        }
+        let [begin, end] = stretches[part];
+        let far = |thing: usize| (begin - numbers[thing]).max(numbers[thing] - end);
+        let several = |thing: usize| parts.iter().filter(|other| **other == parts[thing]).count() > 1;
+        let nearest = (0..parts.len()).filter(|thing| several(*thing)).min_by(|a, b| far(*a).total_cmp(&far(*b)));
+        if let Some(thing) = nearest {
+            parts[thing] = part;
+            lent.push(thing);
         }
     }
-    None
+    (parts, lent)
+}
+
+/// Begin and end of each share in 0 to 1.
+fn stretches(shares: [f64; 3]) -> [[f64; 2]; 3] {
+    let total: f64 = shares.iter().sum();
+    let mut end = 0.0;
+    shares.map(|share| {
+        let begin = end;
+        end += share / total;
+        [begin, end]
+    })
+}
+
+/// The columns of each part where `length` columns are cut into strips by shares from the left; none without a share.
+pub fn strips(length: usize, shares: [f64; 3]) -> [Range<usize>; 3] {
+    // Rounded so that neighbours share a whole cell border.
+    stretches(shares).map(|ends| {
+        let [begin, end] = ends.map(|end| (end * length as f64).round() as usize);
+        begin..end.min(length)
+    })
 }
 
 #[cfg(test)]
@@ -59,11 +91,28 @@ mod tests {
     }
 
     #[test]
-    fn a_tile_on_a_border_is_in_no_part() {
-        let shares = [0.5, 0.25, 0.25];
-        let found: Vec<Option<usize>> =
-            [0, 30, 40, 50, 65, 75, 90].map(|first| by_place(first, 10, 100, shares)).to_vec();
-        assert_eq!(found, [Some(0), Some(0), Some(0), Some(1), Some(1), Some(2), Some(2)]);
-        assert_eq!(by_place(45, 10, 100, shares), None);
+    fn a_thing_stays_in_its_part_whatever_others_there_are() {
+        let shares = [0.7, 0.15, 0.15];
+        let numbers: Vec<f64> = (0..200).map(|k| (f64::from(k) * 0.618_033_988_75).fract()).collect();
+        let (all, lent) = by_numbers(&numbers, shares);
+        assert!(lent.is_empty());
+        let (few, _) = by_numbers(&numbers[..40], shares);
+        assert_eq!(few, all[..40]);
+        assert_eq!([0, 1, 2].map(|part| all.iter().filter(|p| **p == part).count()), [139, 30, 31]);
+        assert_eq!(by_numbers(&[0.2, 0.999], [1.0, 0.0, 0.0]), (vec![0, 0], Vec::new()));
+    }
+
+    #[test]
+    fn a_part_that_would_be_empty_is_lent_the_nearest() {
+        assert_eq!(by_numbers(&[0.1, 0.65, 0.3, 0.9], [0.7, 0.15, 0.15]), (vec![0, 1, 0, 2], vec![1]));
+        // None is taken from a part that has no other.
+        assert_eq!(by_numbers(&[0.1, 0.9], [0.7, 0.15, 0.15]), (vec![0, 2], Vec::new()));
+    }
+
+    #[test]
+    fn strips_are_whole_columns_and_cover_all() {
+        assert_eq!(strips(100, [0.5, 0.25, 0.25]), [0..50, 50..75, 75..100]);
+        assert_eq!(strips(360, [0.7, 0.15, 0.15]), [0..252, 252..306, 306..360]);
+        assert_eq!(strips(9, [1.0, 0.0, 1.0]), [0..5, 5..5, 5..9]);
     }
 }

@@ -1,11 +1,13 @@
 //! Which tiles are taken, and into which part each goes.
 
+use std::ops::Range;
+
 use super::sources::{Scored, place};
-use super::{ExportDatasetParams, Negatives, SplitBy};
+use super::{Border, Dealing, ExportDatasetParams, Negatives, SplitBy, files};
 use crate::dataset::split;
 use crate::dataset::split::PARTS;
 use crate::dataset::tiles;
-use crate::dataset::tiles::Tile;
+use crate::dataset::tiles::{Cut, Tile};
 use rockface_core::numerics::random::Field;
 use rockface_core::{Context, Point, StageError};
 
@@ -41,13 +43,41 @@ pub(super) fn events(params: &ExportDatasetParams, samples: &[Scored], context: 
         });
         of_sample.push(number);
     }
-    let draws = context.stream("events", "").field();
-    let mut order: Vec<usize> = (0..points.len()).collect();
-    order.sort_by_key(|event| draws.words(*event as i32, 0));
-    let mut parts = vec![0; points.len()];
-    let dealt = split::parts(points.len(), shares(params));
-    order.into_iter().zip(dealt).for_each(|(event, part)| parts[event] = part);
-    Events { points, of_sample, parts }
+    let mut events = Events { points, of_sample, parts: Vec::new() };
+    deal(params, &mut events, context);
+    events
+}
+
+/// Puts each event into a part.
+fn deal(params: &ExportDatasetParams, events: &mut Events, context: &Context) {
+    let shares = shares(params);
+    // Drawn for its items, so that the number of an event is its own whatever others there are.
+    let words = |point: &Point| {
+        let text: Vec<String> = point.iter().map(|(axis, item)| format!("{axis}={item}")).collect();
+        context.stream("event", &text.join("\n")).field().words(0, 0)
+    };
+    let words: Vec<[u32; 4]> = events.points.iter().map(words).collect();
+    if params.dealing == Dealing::Exact {
+        let mut order: Vec<usize> = (0..words.len()).collect();
+        order.sort_by_key(|event| words[*event]);
+        events.parts = vec![0; words.len()];
+        order.into_iter().zip(split::parts(words.len(), shares)).for_each(|(event, part)| events.parts[event] = part);
+        return;
+    }
+    let numbers: Vec<f64> = words.iter().map(|words| f64::from(words[0]) / (f64::from(u32::MAX) + 1.0)).collect();
+    let (parts, lent) = split::by_numbers(&numbers, shares);
+    events.parts = parts;
+    if !lent.is_empty() && params.split == SplitBy::Event {
+        let told = |event: &usize| {
+            format!("{} for {}", files::event_name(params, events, *event), PARTS[events.parts[*event]])
+        };
+        context.warn(format!(
+            "{} events are few for these shares: {} only because nothing else would be; in a larger data set it may be for another part, all \
+             other events stay where they are. `dealing: exact` deals by the shares",
+            words.len(),
+            lent.iter().map(told).collect::<Vec<_>>().join(", ")
+        ));
+    }
 }
 
 pub(super) fn shares(params: &ExportDatasetParams) -> [f64; 3] {
@@ -61,27 +91,29 @@ pub(super) fn choose(
     draws: Field,
 ) -> Result<Vec<Pick>, StageError> {
     let side = params.tile_cells as usize;
+    let cut = Cut { side, stride: params.stride_cells as usize, to_end: params.border == Border::Shift };
     let (mut positive, mut negative) = (Vec::new(), Vec::new());
     for (number, sample) in samples.iter().enumerate() {
         let grid = &sample.difference.grid;
-        let found = tiles::tiles(&sample.scene(), side, params.stride_cells as usize);
-        if found.is_empty() {
-            return Err(StageError::new(format!(
-                "a tile of {side} cells does not fit into {} x {} cells{}",
-                grid.columns,
-                grid.rows,
-                place(sample.point)
-            ))
-            .hint("lower `tile_cells`"));
+        if grid.columns.min(grid.rows) < side {
+            let (columns, rows, at) = (grid.columns, grid.rows, place(sample.point));
+            let text = format!("a tile of {side} cells does not fit into {columns} x {rows} cells{at}");
+            return Err(StageError::new(text).hint("lower `tile_cells`"));
         }
-        for tile in found.into_iter().filter(|t| t.valid as f64 >= params.least_valid_share * (side * side) as f64) {
-            let part = match params.split {
-                SplitBy::Event => Some(events.parts[events.of_sample[number]]),
-                SplitBy::Place => split::by_place(tile.corner[1], side, grid.columns, shares(params)),
-            };
-            let Some(part) = part else { continue };
-            let pick = Pick { sample: number, part, tile };
-            if pick.tile.changed >= params.least_changed_cells as usize {
+        let strips: Vec<(usize, Range<usize>)> = match params.split {
+            SplitBy::Event => vec![(events.parts[events.of_sample[number]], 0..grid.columns)],
+            SplitBy::Place => split::strips(grid.columns, shares(params)).into_iter().enumerate().collect(),
+        };
+        let found = strips.iter().flat_map(|(part, columns)| {
+            tiles::tiles(&sample.scene(), columns, cut).into_iter().map(|tile| Pick {
+                sample: number,
+                part: *part,
+                tile,
+            })
+        });
+        let least_valid = params.least_valid_share * (side * side) as f64;
+        for pick in found.filter(|pick| pick.tile.valid as f64 >= least_valid) {
+            if pick.tile.changed_valid >= params.least_changed_cells as usize {
                 positive.push(pick);
             } else if pick.tile.changed == 0 {
                 negative.push(pick);
@@ -89,7 +121,8 @@ pub(super) fn choose(
         }
     }
     if positive.is_empty() {
-        return Err(StageError::new("no tile holds a change").hint("look at truth and differences with `draw-picture`"));
+        let look = StageError::new("no tile holds a change").hint("look at truth and differences with `draw-picture`");
+        return Err((0..PARTS.len()).filter_map(|part| narrow(params, samples, part)).fold(look, StageError::hint));
     }
     for part in 0..PARTS.len() {
         let wanted = positive.iter().filter(|pick| pick.part == part).count() as f64;
@@ -99,6 +132,19 @@ pub(super) fn choose(
         positive.extend(best(own, most, params.negatives, draws));
     }
     Ok(positive)
+}
+
+/// Of a split by place: that the strip of a part with a share is narrower than a tile wherever tiles are cut, and the way out.
+pub(super) fn narrow(params: &ExportDatasetParams, samples: &[Scored], part: usize) -> Option<String> {
+    if params.split != SplitBy::Place || shares(params)[part] <= 0.0 {
+        return None;
+    }
+    let widths = samples.iter().map(|sample| split::strips(sample.difference.grid.columns, shares(params))[part].len());
+    let widest = widths.max().filter(|widest| *widest < params.tile_cells as usize)?;
+    Some(format!(
+        "the part {} is {widest} columns wide, a tile is {}: lower `tile_cells`, or give the part a larger share",
+        PARTS[part], params.tile_cells
+    ))
 }
 
 /// So many tiles without change: the hardest, or drawn.

@@ -4,61 +4,76 @@ use serde_json::{Map, Value, json};
 
 use super::choice::{Events, Pick};
 use super::sources::Scored;
-use super::{ExportDatasetParams, Format, Negatives, SplitBy};
+use super::truths::Truths;
+use super::{Border, Dealing, ExportDatasetParams, Format, Negatives, SplitBy};
 use crate::dataset::card;
 use crate::dataset::card::Facts;
 use crate::dataset::npz;
 use crate::dataset::npz::Array;
 use crate::dataset::split::PARTS;
+use crate::dataset::tiles;
 use crate::dataset::tiles::Tile;
 use crate::dataset::{catalogue, checksums};
-use rockface_core::artefact::{Cell, Noun, Raster, Sample, Table};
+use rockface_core::artefact::{Cell, Frame, Noun, Raster, Sample, Table};
 use rockface_core::{Context, StageError};
 
-/// The name of a tile: its number, its point, its corner.
-pub(super) fn name(number: usize, sample: &Scored, tile: &Tile) -> String {
+/// The name of a tile: the prefix, its number, its point, its corner.
+pub(super) fn name(params: &ExportDatasetParams, number: usize, sample: &Scored, tile: &Tile) -> String {
     let plain = |text: &str| text.chars().filter(char::is_ascii_alphanumeric).take(12).collect::<String>();
     let point: String =
         sample.point.iter().take(3).map(|(axis, item)| format!("_{}{}", plain(axis), plain(item))).collect();
-    format!("{number:06}{point}_r{:05}_c{:05}", tile.corner[0], tile.corner[1])
+    format!("{}{number:06}{point}_r{:05}_c{:05}", params.prefix, tile.corner[0], tile.corner[1])
 }
 
-pub(super) fn event_name(events: &Events, event: usize) -> String {
+pub(super) fn event_name(params: &ExportDatasetParams, events: &Events, event: usize) -> String {
     let plain = |text: &str| text.chars().filter(char::is_ascii_alphanumeric).take(20).collect::<String>();
     let point: String =
         events.points[event].iter().take(3).map(|(axis, item)| format!("_{}{}", plain(axis), plain(item))).collect();
-    format!("{event:05}{point}")
+    format!("{}{event:05}{point}", params.prefix)
 }
 
-pub(super) fn index(params: &ExportDatasetParams, samples: &[Scored], events: &Events, chosen: &[Pick]) -> Table {
-    let axes = rockface_raster::feature_rows::axes(samples.iter().map(|sample| sample.point));
-    let fixed = [
-        "tile",
-        "split",
-        "event",
-        "sequence",
-        "row",
-        "column",
-        "left_m",
-        "top_m",
-        "cell_m",
-        "side_cells",
-        "valid_cells",
-        "changed_cells",
-        "instances",
-        "apparent_loss_m",
-    ];
+/// What tiles, events and truths are told by.
+pub(super) struct Chosen<'a> {
+    pub(super) samples: &'a [Scored<'a>],
+    pub(super) events: &'a Events,
+    pub(super) truths: &'a Truths,
+    pub(super) picks: &'a [Pick],
+}
+
+const FIXED: [&str; 16] = [
+    "tile",
+    "split",
+    "event",
+    "truth",
+    "sequence",
+    "row",
+    "column",
+    "left_m",
+    "top_m",
+    "cell_m",
+    "side_cells",
+    "valid_cells",
+    "changed_cells",
+    "changed_valid_cells",
+    "instances",
+    "apparent_loss_m",
+];
+
+pub(super) fn index(params: &ExportDatasetParams, chosen: &Chosen) -> Table {
+    let axes = rockface_raster::feature_rows::axes(chosen.samples.iter().map(|sample| sample.point));
     let mut table =
-        Table::new(fixed.iter().map(ToString::to_string).chain(axes.iter().map(|axis| format!("axis_{axis}"))));
-    for (number, pick) in chosen.iter().enumerate() {
-        let (sample, tile) = (&samples[pick.sample], &pick.tile);
+        Table::new(FIXED.iter().map(ToString::to_string).chain(axes.iter().map(|axis| format!("axis_{axis}"))));
+    for (number, pick) in chosen.picks.iter().enumerate() {
+        let (sample, tile) = (&chosen.samples[pick.sample], &pick.tile);
         let own = tile.grid(&sample.difference.grid);
         let order = params
             .sequence_axis
             .as_ref()
             .map_or(Cell::Empty(()), |axis| rockface_raster::feature_rows::item_cell(sample.point, axis));
-        let mut row: Vec<Cell> = vec![name(number, sample, tile).into(), PARTS[pick.part].into()];
-        row.extend([event_name(events, events.of_sample[pick.sample]).into(), order]);
+        let event = event_name(params, chosen.events, chosen.events.of_sample[pick.sample]);
+        let truth = chosen.truths.of(pick.sample).0.as_str();
+        let mut row: Vec<Cell> = vec![name(params, number, sample, tile).into(), PARTS[pick.part].into()];
+        row.extend([event.into(), truth.into(), order]);
         let numbers = [
             tile.corner[0] as f64,
             tile.corner[1] as f64,
@@ -68,6 +83,7 @@ pub(super) fn index(params: &ExportDatasetParams, samples: &[Scored], events: &E
             tile.side as f64,
             tile.valid as f64,
             tile.changed as f64,
+            tile.changed_valid as f64,
             tile.instances as f64,
             tile.apparent_loss_m,
         ];
@@ -78,43 +94,62 @@ pub(super) fn index(params: &ExportDatasetParams, samples: &[Scored], events: &E
     table
 }
 
-type File = (String, Vec<u8>);
+/// Place in the data set and content.
+pub(super) type File = (String, Vec<u8>);
 
 pub(super) fn files(
     params: &ExportDatasetParams,
-    samples: &[Scored],
-    events: &Events,
-    chosen: &[Pick],
+    chosen: &Chosen,
     index: &Table,
     context: &Context,
 ) -> Result<Vec<File>, StageError> {
     let codec = |e: rockface_core::artefact::CodecError| StageError::new(e.to_string());
-    let mut files: Vec<File> = Vec::new();
+    let mut files: Vec<File> = chosen.truths.files.clone();
     let mut items = Vec::new();
     let mut ids = Vec::new();
-    for (number, pick) in chosen.iter().enumerate() {
+    for (number, pick) in chosen.picks.iter().enumerate() {
         context.check_cancelled()?;
-        let sample = &samples[pick.sample];
-        let name = name(number, sample, &pick.tile);
+        let sample = &chosen.samples[pick.sample];
+        let name = name(params, number, sample, &pick.tile);
         let stem = format!("tiles/{}/{name}", PARTS[pick.part]);
         let made = arrays(params, sample, &pick.tile, &stem)?;
-        items.push((format!("stac/items/{name}.json"), item(params, events, pick, sample, &name, &made)));
+        items.push((format!("stac/items/{name}.json"), item(params, chosen, pick, &name, &made)));
         files.extend(made.into_iter().map(|(_, _, place, bytes)| (place, bytes)));
         ids.push(name);
     }
-    let mut told = std::collections::BTreeSet::new();
-    for (sample, event) in samples.iter().zip(&events.of_sample).filter(|(_, event)| told.insert(**event)) {
-        files.push((format!("events/{}.geojson", event_name(events, *event)), sample.truth.encode().map_err(codec)?));
-    }
     files.push(("index.csv".to_owned(), index.to_csv().map_err(codec)?));
-    let description = "Tiles of simulated rockfall surveys in a wall frame; see README.md.";
-    files.push(("stac/catalog.json".to_owned(), catalogue::root(&params.title, description, &ids)));
+    let description = format!("Tiles of simulated rockfall surveys in {}; see README.md.", frames(chosen.samples));
+    let id = format!("{}rockface-dataset", params.prefix);
+    files.push(("stac/catalog.json".to_owned(), catalogue::root(&id, &params.title, &description, &ids)));
     files.extend(items);
-    files.push(("README.md".to_owned(), card(params, samples, index)));
+    files.push(("README.md".to_owned(), card(params, chosen, index)));
     files.sort();
     let sums = checksums::list(&files);
     files.push(("SHA256SUMS".to_owned(), sums.into_bytes()));
     Ok(files)
+}
+
+/// What coordinates are in, in words.
+fn frames(samples: &[Scored]) -> String {
+    let told = |frame: Frame| match frame.crs() {
+        Some(crs) => crs.to_string(),
+        None => format!("the {frame} frame"),
+    };
+    listed(samples.iter().map(|sample| told(sample.difference.frame)))
+}
+
+/// Each of some words once, in the order they are met.
+fn listed(words: impl Iterator<Item = String>) -> String {
+    let mut known: Vec<String> = Vec::new();
+    words.for_each(|word| {
+        if !known.contains(&word) {
+            known.push(word);
+        }
+    });
+    match known.split_last() {
+        Some((last, others)) if !others.is_empty() => format!("{} and {last}", others.join(", ")),
+        _ => known.concat(),
+    }
 }
 
 /// Role, media type, place and content of the files of a tile.
@@ -165,24 +200,22 @@ pub(super) fn arrays(
     Ok(made)
 }
 
-pub(super) fn item(
-    params: &ExportDatasetParams,
-    events: &Events,
-    pick: &Pick,
-    sample: &Scored,
-    id: &str,
-    made: &[Asset],
-) -> Vec<u8> {
-    let event = events.of_sample[pick.sample];
+pub(super) fn item(params: &ExportDatasetParams, chosen: &Chosen, pick: &Pick, id: &str, made: &[Asset]) -> Vec<u8> {
+    let sample = &chosen.samples[pick.sample];
+    let event = chosen.events.of_sample[pick.sample];
+    let (truth, truth_bytes) = chosen.truths.of(pick.sample);
     let mut properties = Map::new();
     let point: Map<String, Value> = sample.point.iter().map(|(axis, item)| (axis.clone(), json!(item))).collect();
     properties.insert("rockface:split".into(), json!(PARTS[pick.part]));
-    properties.insert("rockface:event".into(), json!(event_name(events, event)));
+    properties.insert("rockface:event".into(), json!(event_name(params, chosen.events, event)));
+    properties.insert("rockface:truth".into(), json!(truth));
     properties.insert("rockface:point".into(), Value::Object(point));
     properties.insert("rockface:changed_cells".into(), json!(pick.tile.changed));
+    properties.insert("rockface:changed_valid_cells".into(), json!(pick.tile.changed_valid));
     properties.insert("rockface:instances".into(), json!(pick.tile.instances));
-    let assets =
+    let mut assets: Vec<(&str, &str, &str, &[u8])> =
         made.iter().map(|(role, media, place, bytes)| (*role, place.as_str(), *media, bytes.as_slice())).collect();
+    assets.push(("truth", truth.as_str(), "application/geo+json", truth_bytes.as_slice()));
     catalogue::item(&catalogue::Item {
         id,
         grid: pick.tile.grid(&sample.difference.grid),
@@ -193,12 +226,17 @@ pub(super) fn item(
     })
 }
 
-pub(super) fn card(params: &ExportDatasetParams, samples: &[Scored], index: &Table) -> Vec<u8> {
+pub(super) fn card(params: &ExportDatasetParams, chosen: &Chosen, index: &Table) -> Vec<u8> {
     let split = match params.split {
         SplitBy::Event => {
-            format!("by event ({}): all draws and tiles of an event are in one part", params.event_axes.join(", "))
+            let dealt = match params.dealing {
+                Dealing::Stable => "each dealt by a number of its own, so it stays in its part when the data set grows",
+                Dealing::Exact => "shuffled and dealt by the shares, so they change parts when the data set grows",
+            };
+            let axes = params.event_axes.join(", ");
+            format!("by event ({axes}): all draws and tiles of an event are in one part; events are {dealt}")
         }
-        SplitBy::Place => "by place: the face is cut along X, tiles on a cut are left out".to_owned(),
+        SplitBy::Place => "by place: the face is cut along X into strips, and tiles lie within one".to_owned(),
     };
     let which = match params.negatives {
         Negatives::Hard => "those with the largest mean apparent loss",
@@ -208,14 +246,36 @@ pub(super) fn card(params: &ExportDatasetParams, samples: &[Scored], index: &Tab
         .negatives_per_positive
         .map_or("all".to_owned(), |ratio| format!("up to {ratio} for each tile with change"));
     let formats: Vec<&str> = params.formats.iter().map(|f| if *f == Format::Npz { "NPZ" } else { "GeoTIFF" }).collect();
+    let overlap = if params.stride_cells < params.tile_cells {
+        Some("Neighbouring tiles overlap.")
+    } else if params.border == Border::Shift {
+        Some(
+            "The last tiles of a row or column of tiles overlap those before them, where the width is no multiple of a tile.",
+        )
+    } else {
+        None
+    };
     let facts = Facts {
         title: &params.title,
         licence: &params.licence,
         side: params.tile_cells as usize,
-        cell_m: samples.first().map_or(f64::NAN, |sample| sample.difference.grid.cell_m),
+        cells_m: listed(chosen.samples.iter().map(|sample| sample.difference.grid.cell_m.to_string())),
+        frame: frames(chosen.samples),
+        is_wall: chosen.samples.iter().all(|sample| sample.difference.frame == Frame::Wall),
+        distinct: [0, 1, 2].map(|part| distinct(chosen, part)),
+        overlap,
         split,
         negatives: format!("{ratio}, {which}"),
         formats: formats.join(", "),
     };
     card::write(&facts, index)
+}
+
+/// Cells in the tiles of a part, those of overlapping tiles once.
+fn distinct(chosen: &Chosen, part: usize) -> usize {
+    let of = |number: usize, sample: &Scored| {
+        let own = chosen.picks.iter().filter(|pick| pick.part == part && pick.sample == number);
+        tiles::covered(&sample.difference.grid, own.map(|pick| &pick.tile))
+    };
+    chosen.samples.iter().enumerate().map(|(number, sample)| of(number, sample)).sum()
 }

@@ -4,6 +4,7 @@ use super::ExportDatasetParams;
 use crate::dataset::tiles::Scene;
 use crate::detection::compared;
 use rockface_core::artefact::{Inventory, Raster};
+use rockface_core::names::twice;
 use rockface_core::{Inputs, Point, StageError, fail};
 use rockface_raster::grid;
 
@@ -86,12 +87,26 @@ pub(super) fn matching<'a, T>(port: &str, point: &Point, elements: &[(&Point, &'
 pub(super) fn instances(truth: &Inventory, difference: &Raster) -> Result<Vec<u16>, StageError> {
     let grid = &difference.grid;
     let mut instances = vec![0u16; grid.cells()];
-    let cells = compared::cells(truth, grid, &vec![true; grid.cells()]);
-    for (cells, id) in cells.into_iter().zip(compared::numbers(truth)) {
+    if truth.features.is_empty() {
+        return Ok(instances);
+    }
+    let Some(given) = truth.numbers("id") else {
+        return Err(StageError::new("it has no column `id`").hint("number the changes from 1 in a property `id`"));
+    };
+    let mut ids = Vec::new();
+    for (place, id) in given.into_iter().enumerate() {
+        let Some(id) = id else { fail!("change {} of {} has no `id`", place + 1, truth.features.len()) };
         if id.fract() != 0.0 || !(1.0..=f64::from(u16::MAX)).contains(&id) {
             fail!("`id` {id} is no whole number from 1 to {}", u16::MAX);
         }
-        cells.into_iter().for_each(|cell| instances[cell] = id as u16);
+        ids.push(id as u16);
+    }
+    if let Some(id) = twice(ids.clone()) {
+        fail!("two changes have the `id` {id}: each needs its own, as masks hold one number a cell");
+    }
+    let cells = compared::cells(truth, grid, &vec![true; grid.cells()]);
+    for (cells, id) in cells.into_iter().zip(ids) {
+        cells.into_iter().for_each(|cell| instances[cell] = id);
     }
     Ok(instances)
 }

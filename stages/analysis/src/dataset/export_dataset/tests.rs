@@ -32,6 +32,8 @@ fn inputs(events: usize, quiet: usize) -> Inputs<'static> {
             let mut point = epoch.clone();
             point.insert("draw".into(), draw.to_string());
             let mut difference = raster("difference", 0.0);
+            // Each survey has noise of its own.
+            difference.bands[0].values[0] = 0.001 * (event * 2 + draw + 1) as f32;
             // The right half of the second draw looks most like a loss.
             difference.bands[0].values[12] = -0.01 * (draw + 1) as f32;
             inputs.push("difference", point.clone(), Arc::new(difference.into()));
@@ -47,8 +49,12 @@ fn inputs(events: usize, quiet: usize) -> Inputs<'static> {
 type File = (String, Vec<u8>);
 
 fn run(with: &serde_json::Value, inputs: &Inputs) -> Result<(Vec<File>, Table), StageError> {
+    run_on(&TestHost::default(), with, inputs)
+}
+
+fn run_on(host: &TestHost, with: &serde_json::Value, inputs: &Inputs) -> Result<(Vec<File>, Table), StageError> {
     let params = ExportDatasetParams::decode(with).unwrap();
-    let mut made = ExportDataset::run(&params, inputs, &Context::new(&TestHost::default()))?.into_inner();
+    let mut made = ExportDataset::run(&params, inputs, &Context::new(host))?.into_inner();
     match (made.remove("dataset"), made.remove("index")) {
         (Some(Artefact::Files(files)), Some(Artefact::Table(index))) => Ok((files.files, index)),
         _ => panic!("outputs are missing"),
@@ -62,7 +68,8 @@ fn column(index: &Table, name: &str) -> Vec<String> {
 
 #[test]
 fn draws_of_an_event_stay_together_and_negatives_are_the_hardest() {
-    let with = json!({"tile_cells": 8, "stride_cells": 8, "shares": {"train": 0.5, "validation": 0.25, "test": 0.25}});
+    let with = json!({"tile_cells": 8, "stride_cells": 8, "dealing": "exact",
+        "shares": {"train": 0.5, "validation": 0.25, "test": 0.25}});
     let (files, index) = run(&with, &inputs(4, 0)).unwrap();
     // Four events of two draws, each with a tile that changed and one that did not.
     assert_eq!(index.rows.len(), 16);
@@ -97,7 +104,7 @@ fn quiet_epochs_give_hard_negatives_and_the_ratio_holds() {
     assert_eq!((changed.iter().filter(|c| *c == "6").count(), changed.iter().filter(|c| *c == "0").count()), (4, 2));
     let losses = index.column("apparent_loss_m").unwrap();
     let hardest =
-        index.rows.iter().filter(|row| row[11].number() == Some(0.0)).all(|row| row[losses].number() > Some(2e-4));
+        index.rows.iter().filter(|row| row[12].number() == Some(0.0)).all(|row| row[losses].number() > Some(2e-4));
     assert!(hardest, "{:?}", index.rows);
 }
 
@@ -131,4 +138,203 @@ fn what_does_not_fit_is_refused_by_name() {
         refused(json!({"tile_cells": 8}), &lacking)
             .contains("0 elements of `reference` belong to the difference draw=0 epoch=9")
     );
+}
+
+fn events_and_parts(index: &Table) -> std::collections::BTreeMap<String, String> {
+    column(index, "event").into_iter().zip(column(index, "split")).collect()
+}
+
+#[test]
+fn events_stay_in_their_part_when_the_data_set_grows() {
+    let with = json!({"tile_cells": 8, "stride_cells": 8, "formats": ["npz"]});
+    let (_, small) = run(&with, &inputs(30, 0)).unwrap();
+    let (_, large) = run(&with, &inputs(60, 0)).unwrap();
+    let (small, large) = (events_and_parts(&small), events_and_parts(&large));
+    assert_eq!((small.len(), large.len()), (30, 60));
+    assert!(small.iter().all(|(event, part)| large[event] == *part), "{small:?}\n{large:?}");
+    let train = large.values().filter(|part| *part == "train").count();
+    assert!((30..=54).contains(&train), "{train}");
+}
+
+#[test]
+fn few_events_fill_every_part_and_what_was_lent_is_told() {
+    let with = json!({"tile_cells": 8, "stride_cells": 8, "formats": ["npz"]});
+    let mut lent = 0;
+    for seed in 0..8 {
+        let host = TestHost::seeded(seed);
+        let (_, index) = run_on(&host, &with, &inputs(5, 0)).unwrap();
+        let parts: std::collections::BTreeSet<String> = column(&index, "split").into_iter().collect();
+        assert_eq!(parts.len(), 3, "{seed}");
+        lent += host.warnings().iter().filter(|text| text.contains("5 events are few for these shares")).count();
+    }
+    assert!(lent > 0);
+}
+
+/// Two sites whose truths have other numbers, and an unchanged survey first.
+fn sites() -> Inputs<'static> {
+    let mut inputs = Inputs::default();
+    for (site, id) in [("0", None), ("1", Some(7.0)), ("2", Some(8.0)), ("3", Some(7.0))] {
+        let point: Point =
+            [("epoch".to_owned(), "0".to_owned()), ("site".to_owned(), site.to_owned())].into_iter().collect();
+        let mut truth = truth(id.is_some());
+        truth.features.iter_mut().for_each(|feature| feature.values = vec![id.unwrap_or_default().into()]);
+        inputs.push("difference", point.clone(), Arc::new(raster("difference", 0.0).into()));
+        inputs.push("comparison", point.clone(), Arc::new(raster("elevation", 1.5).into()));
+        inputs.push("reference", point.clone(), Arc::new(raster("elevation", 2.0).into()));
+        inputs.push("truth", point, Arc::new(truth.into()));
+    }
+    inputs
+}
+
+#[test]
+fn a_tile_names_the_file_that_has_the_numbers_of_its_mask() {
+    let with = json!({"tile_cells": 8, "stride_cells": 8, "negatives_per_positive": null, "prefix": "s1_",
+        "shares": {"train": 1, "validation": 0, "test": 0}});
+    let (files, index) = run(&with, &sites()).unwrap();
+    let found: std::collections::BTreeMap<String, String> =
+        column(&index, "axis_site").into_iter().zip(column(&index, "truth")).collect();
+    let expected = ["_unchanged", "", "_2", ""].map(|end| format!("events/s1_00000_epoch0{end}.geojson"));
+    assert_eq!(found.into_values().collect::<Vec<_>>(), expected);
+    let file = |name: &str| &files.iter().find(|(place, _)| place == name).unwrap().1;
+    let id = |name: &str| Inventory::decode(file(name)).unwrap().numbers("id").unwrap();
+    assert_eq!(id(&expected[0]), []);
+    assert_eq!((id(&expected[1]), id(&expected[2])), (vec![Some(7.0)], vec![Some(8.0)]));
+    assert_eq!(files.iter().filter(|(place, _)| place.starts_with("events/")).count(), 3);
+    let item = String::from_utf8(file(&format!("stac/items/{}.json", column(&index, "tile")[0])).clone()).unwrap();
+    assert!(item.contains(&format!("\"rockface:truth\": \"{}\"", column(&index, "truth")[0])), "{item}");
+}
+
+#[test]
+fn the_same_survey_in_two_parts_is_refused() {
+    let mut twins = inputs(3, 0);
+    let twin: Point = [("epoch".to_owned(), "9".to_owned()), ("draw".to_owned(), "0".to_owned())].into_iter().collect();
+    let (first, epoch) = (inputs(1, 0), Point::from([("epoch".to_owned(), "9".to_owned())]));
+    let difference = first.many::<Raster>("difference").unwrap()[0].1.clone();
+    twins.push("difference", twin.clone(), Arc::new(difference.into()));
+    twins.push("comparison", twin, Arc::new(raster("elevation", 1.5).into()));
+    twins.push("reference", epoch.clone(), Arc::new(raster("elevation", 2.0).into()));
+    twins.push("truth", epoch, Arc::new(truth(true).into()));
+    let with = |train: f64| {
+        json!({"tile_cells": 8, "stride_cells": 8, "dealing": "exact", "formats": ["npz"],
+            "shares": {"train": train, "validation": 1, "test": 1}})
+    };
+    let apart = (0..8).find_map(|seed| run_on(&TestHost::seeded(seed), &with(1.0), &twins).err()).unwrap();
+    assert!(apart.message.contains("00000_epoch0 and 00003_epoch9 have the same difference"), "{}", apart.message);
+    // In one part they do no harm.
+    let one = json!({"tile_cells": 8, "stride_cells": 8, "shares": {"train": 1, "validation": 0, "test": 0}});
+    assert!(run(&one, &twins).is_ok());
+}
+
+#[test]
+fn a_strip_that_is_narrower_than_a_tile_is_told() {
+    let with = |side: usize| {
+        json!({"tile_cells": side, "stride_cells": side, "split": "place", "negatives_per_positive": null, "formats": ["npz"],
+            "shares": {"train": 0.6, "validation": 0.2, "test": 0.2}})
+    };
+    let host = TestHost::default();
+    let (_, index) = run_on(&host, &with(5), &inputs(1, 0)).unwrap();
+    assert_eq!(column(&index, "column").into_iter().collect::<std::collections::BTreeSet<_>>().len(), 2);
+    let told = host.warnings();
+    assert!(
+        told.contains(
+            &"the part validation is 3 columns wide, a tile is 5: lower `tile_cells`, or give the part a larger share"
+                .to_owned()
+        ),
+        "{told:?}"
+    );
+    // Strips have tiles of their own: 0 to 5, 5 to 10, 10 to 16.
+    let with = json!({"tile_cells": 4, "stride_cells": 4, "split": "place", "negatives_per_positive": null, "formats": ["npz"],
+        "shares": {"train": 5, "validation": 5, "test": 6}});
+    let (_, index) = run(&with, &inputs(1, 0)).unwrap();
+    let columns: std::collections::BTreeSet<String> = column(&index, "column").into_iter().collect();
+    assert_eq!(columns.into_iter().collect::<Vec<_>>(), ["0", "1", "10", "12", "5", "6"]);
+}
+
+#[test]
+fn change_that_no_survey_saw_makes_no_tile_with_change() {
+    let mut unseen = Inputs::default();
+    for (epoch, seen) in [("0", 2), ("1", 0)] {
+        let point: Point = [("epoch".to_owned(), epoch.to_owned())].into_iter().collect();
+        let mut difference = raster("difference", -0.5);
+        // The change is in columns 1 to 3 of rows 1 and 2.
+        for cell in [17, 18, 19, 33, 34, 35].into_iter().skip(seen) {
+            difference.bands[0].values[cell] = f32::NAN;
+        }
+        unseen.push("difference", point.clone(), Arc::new(difference.into()));
+        unseen.push("comparison", point.clone(), Arc::new(raster("elevation", 1.5).into()));
+        unseen.push("reference", point.clone(), Arc::new(raster("elevation", 2.0).into()));
+        unseen.push("truth", point, Arc::new(truth(true).into()));
+    }
+    let with = json!({"tile_cells": 8, "stride_cells": 8, "negatives_per_positive": null, "formats": ["npz"],
+        "shares": {"train": 1, "validation": 0, "test": 0}});
+    let (_, index) = run(&with, &unseen).unwrap();
+    let counted: Vec<(String, String)> =
+        column(&index, "changed_cells").into_iter().zip(column(&index, "changed_valid_cells")).collect();
+    let pair = |a: &str, b: &str| (a.to_owned(), b.to_owned());
+    assert_eq!(counted, [pair("6", "2"), pair("0", "0"), pair("0", "0")]);
+}
+
+#[test]
+fn parameters_that_mean_nothing_are_refused() {
+    let faults = |with: serde_json::Value| {
+        let faults = ExportDatasetParams::decode(&with).map_or_else(|faults| faults, |p| ExportDataset::check(&p));
+        faults.into_iter().map(|fault| fault.message).collect::<String>()
+    };
+    assert!(faults(json!({"formats": ["npz", "npz"]})).contains("`npz` is there twice"));
+    assert!(faults(json!({"prefix": "../a"})).contains("letters, digits"));
+    assert!(faults(json!({"first_day": 3_000_000})).contains("out of range"));
+    assert_eq!(faults(json!({"prefix": "seed-1_", "first_day": -719_528})), "");
+    let late = json!({"tile_cells": 8, "first_day": 2_932_896, "shares": {"train": 1, "validation": 0, "test": 0}});
+    assert!(run(&late, &inputs(2, 0)).unwrap_err().message.contains("beyond the year 9999"));
+    assert!(run(&late, &inputs(1, 0)).is_ok());
+}
+
+#[test]
+fn truths_need_a_number_of_its_own_for_each_change() {
+    let with = |columns: Vec<String>, values: Vec<Vec<Cell>>| {
+        let one = truth(true).features.remove(0);
+        let features = values.into_iter().map(|values| Feature { values, ..one.clone() }).collect();
+        let truth = Inventory { frame: Frame::Wall, columns, features };
+        sources::instances(&truth, &raster("difference", 0.0)).map_err(|e| e.message)
+    };
+    assert!(with(vec!["volume".into()], vec![vec![1.0.into()]]).unwrap_err().contains("no column `id`"));
+    let id = || vec!["id".to_owned()];
+    assert!(with(id(), vec![vec![3.0.into()], vec![3.0.into()]]).unwrap_err().contains("two changes have the `id` 3"));
+    assert!(
+        with(id(), vec![vec![3.0.into()], vec![Cell::Empty(())]]).unwrap_err().contains("change 2 of 2 has no `id`")
+    );
+    assert!(with(id(), vec![vec![1.5.into()]]).unwrap_err().contains("no whole number"));
+    assert!(with(Vec::new(), Vec::new()).is_ok());
+}
+
+#[test]
+fn cell_sizes_overlap_and_coarse_outlines_are_told() {
+    let mut mixed = inputs(1, 0);
+    let point: Point =
+        [("epoch".to_owned(), "1".to_owned()), ("draw".to_owned(), "0".to_owned())].into_iter().collect();
+    let grid = Grid { cell_m: 0.025, left_m: 0.05, top_m: 0.7, ..GRID };
+    let fine = |value: f32| Raster::single(grid, Frame::Wall, "q", "q", vec![value; grid.cells()]);
+    // An L of steps of 0.1 m.
+    let exterior = vec![[0.1, 0.5], [0.3, 0.5], [0.3, 0.6], [0.2, 0.6], [0.2, 0.7], [0.1, 0.7]];
+    let mut stairs = truth(true);
+    stairs.features[0].outline = vec![Polygon { exterior, holes: Vec::new() }];
+    mixed.push("difference", point.clone(), Arc::new(fine(-0.5).into()));
+    mixed.push("comparison", point, Arc::new(fine(1.5).into()));
+    let epoch = Point::from([("epoch".to_owned(), "1".to_owned())]);
+    mixed.push("reference", epoch.clone(), Arc::new(fine(2.0).into()));
+    mixed.push("truth", epoch, Arc::new(stairs.into()));
+    let host = TestHost::default();
+    let with = |border: &str| {
+        json!({"tile_cells": 6, "stride_cells": 6, "border": border, "negatives_per_positive": null, "formats": ["npz"],
+            "shares": {"train": 1, "validation": 0, "test": 0}})
+    };
+    let (files, index) = run_on(&host, &with("shift"), &mixed).unwrap();
+    let card = String::from_utf8(files.iter().find(|(name, _)| name == "README.md").unwrap().1.clone()).unwrap();
+    assert!(card.contains("cells of 0.1 and 0.025 m"), "{card}");
+    // Three rasters of 16 x 8 cells have 6 tiles each, which cover them.
+    assert_eq!(index.rows.len(), 18);
+    assert!(card.contains("| train | 18 |") && card.contains("| 648 | 384 |"), "{card}");
+    assert!(host.warnings().iter().any(|text| text.contains("steps of 0.1000 m, cells are 0.025 m")));
+    let (_, index) = run(&with("drop"), &mixed).unwrap();
+    assert_eq!(index.rows.len(), 6);
 }
