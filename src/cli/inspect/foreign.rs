@@ -28,6 +28,13 @@ fn of_cloud(cloud: Cloud) -> Found {
     ];
     let axes = ["x", "y", "z"].into_iter().enumerate();
     facts.extend(axes.map(|(axis, name)| (name.to_owned(), range(cloud.points.iter().map(|point| point[axis])))));
+    if cloud.withheld > 0 {
+        facts.push(("withheld".into(), cloud.withheld.into()));
+    }
+    let classes: Vec<String> = cloud.classes.iter().map(|(class, count)| format!("{class}: {count}")).collect();
+    if !classes.is_empty() {
+        facts.push(("points by class".into(), classes.join(", ").into()));
+    }
     facts.extend(cloud.stated.iter().map(|stated| ("system".to_owned(), stated.name.clone().into())));
     facts.extend(cloud.warnings.into_iter().map(|text| ("warning".to_owned(), text.into())));
     facts.into()
