@@ -161,6 +161,11 @@ def test_the_data_set_opens_and_its_sums_hold(detection, tmp_path):
     tile = np.load(folder / "tiles" / row.split / f"{row.tile}.npz")
     assert tile["difference"].shape == (64, 64) and tile["instances"].dtype == np.uint16
     assert tile["mask"].sum() == row.changed_cells
+    assert (tile["mask"].astype(bool) & np.isfinite(tile["difference"])).sum() == row.changed_valid_cells
+    for one in index.itertuples():
+        losses = json.loads((folder / one.truth).read_text())["features"]
+        with np.load(folder / "tiles" / one.split / f"{one.tile}.npz") as arrays:
+            assert set(np.unique(arrays["instances"])) - {0} <= {loss["properties"]["id"] for loss in losses}
     stem = folder / "tiles" / row.split / row.tile
     with rasterio.open(f"{stem}_difference.tif") as file:
         np.testing.assert_array_equal(file.read(1), tile["difference"])

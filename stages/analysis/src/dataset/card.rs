@@ -42,7 +42,7 @@ pub fn write(facts: &Facts, index: &Table) -> Vec<u8> {
     );
     for (part, distinct) in PARTS.into_iter().zip(distinct) {
         let rows = || index.rows.iter().filter(|row| text_of(index, row, "split") == part);
-        let sum = |name: &str| rows().map(|row| number(index, row, name)).sum::<f64>();
+        let sum = |name: &str| rows().map(|row| number(index, row, name)).fold(0.0, |sum, cells| sum + cells);
         let positive = rows().filter(|row| number(index, row, "changed_valid_cells") > 0.0).count();
         let count = rows().count();
         let cells = count * side * side;
@@ -113,6 +113,7 @@ mod tests {
             "{text}"
         );
         assert!(text.contains("cells of 0.02 and 0.04 m") && text.contains("Tiles overlap."), "{text}");
+        assert!(text.contains("| validation | 0 | 0 | 0 | 0 | 0 | 0 | 0 |"), "{text}");
         assert!(text.starts_with("---\nlicense: cc-by-4.0"));
     }
 }

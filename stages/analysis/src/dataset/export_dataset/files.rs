@@ -230,11 +230,11 @@ pub(super) fn card(params: &ExportDatasetParams, chosen: &Chosen, index: &Table)
     let split = match params.split {
         SplitBy::Event => {
             let dealt = match params.dealing {
-                Dealing::Stable => "each dealt by a number of its own, so it stays in its part when the data set grows",
-                Dealing::Exact => "shuffled and dealt by the shares, so they change parts when the data set grows",
+                Dealing::Stable => "each is dealt by a number of its own and stays in its part when the data set grows",
+                Dealing::Exact => "they are shuffled and dealt by the shares, and change parts when the data set grows",
             };
             let axes = params.event_axes.join(", ");
-            format!("by event ({axes}): all draws and tiles of an event are in one part; events are {dealt}")
+            format!("by event ({axes}): all draws and tiles of an event are in one part; {dealt}")
         }
         SplitBy::Place => "by place: the face is cut along X into strips, and tiles lie within one".to_owned(),
     };
