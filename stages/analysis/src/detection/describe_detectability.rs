@@ -30,7 +30,7 @@ pub struct DescribeDetectability;
 impl Stage for DescribeDetectability {
     type Params = DescribeDetectabilityParams;
     const NAME: &'static str = "describe-detectability";
-    const VERSION: u32 = 4;
+    const VERSION: u32 = 5;
     const PAGE: Page = Page::new(include_str!("describe_detectability.md"));
     const INPUTS: &'static [Port] =
         &[Port::one("truth", &[Kind::Inventory, Kind::Table], "The `truth` of `score-detections`, or many joined.")];
@@ -157,10 +157,7 @@ impl Scene<'_> {
         let seen = |size: &f64| curve.is_certain() && (least..=largest).contains(size);
         let limit = |probability: f64| {
             let at = curve.at(probability).filter(seen);
-            let [low, high] = match at.and_then(|_| curve.interval(probability)) {
-                Some(interval) => interval.map(Some),
-                None => [None; 2],
-            };
+            let [low, high] = at.map_or([None; 2], |_| curve.interval(probability));
             [at, low, high]
         };
         let [at_50, at_50_low, at_50_high] = limit(0.5);
@@ -199,7 +196,9 @@ fn report(limits: &Table, scene: &Scene, params: &DescribeDetectabilityParams, c
     let share = format!("{:.0} %", 100.0 * params.probability);
     let interval = |low: usize| match [low, low + 1].map(|column| row[column].number()) {
         [Some(low), Some(high)] => format!(" ({low:.1e} to {high:.1e})"),
-        _ => String::new(),
+        [Some(low), None] => format!(" ({low:.1e} or more, without an upper end)"),
+        [None, Some(high)] => format!(" ({high:.1e} or less, without a lower end)"),
+        [None, None] => String::new(),
     };
     let most_is = |most: f64| format!("{share} of those with {most:.2e}{}", interval(10));
     let half_is = |half: f64| format!("half of those with {name} {half:.2e}{}", interval(8));

@@ -15,6 +15,7 @@ pub mod facing;
 pub mod found;
 pub mod limit;
 pub mod m3c2;
+mod profile_likelihood;
 pub mod raster;
 pub mod rates;
 pub mod score;

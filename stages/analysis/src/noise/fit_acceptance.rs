@@ -1,6 +1,7 @@
 //! `fit-acceptance`: learns from real noise rasters how far a compatible raster may lie from them.
 
 use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
 
 use crate::noise::acceptance_rate::{perfect_acceptance, share_below};
 use crate::noise::chain;
@@ -65,6 +66,9 @@ impl Stage for FitAcceptance {
         let params = &FitAcceptanceParams { features, ..params.clone() };
         let mut rows = feature_rows(&tables, &params.features)?;
         rows.truncate(kept);
+        if let Some(text) = copies(&rows) {
+            context.warn(text);
+        }
         let mut groups = BTreeMap::from([("all".to_owned(), fit_columns(&params.features, params, &rows)?)]);
         for (group, _) in GROUPS {
             let chosen: Vec<String> = params.features.iter().filter(|name| in_group(group, name)).cloned().collect();
@@ -79,6 +83,27 @@ impl Stage for FitAcceptance {
         let summary = summary(&model, params.quantile);
         Ok(Outputs::of("model", model).and("summary", summary))
     }
+}
+
+/// What is wrong where rasters have the features of an earlier one to the bit, as copied files have; `None` where none has.
+fn copies(rows: &[FeatureRow]) -> Option<String> {
+    let mut first: BTreeMap<Vec<u64>, &FeatureRow> = BTreeMap::new();
+    let mut copied = Vec::new();
+    for row in rows {
+        match first.entry(row.values.iter().map(|value| value.to_bits()).collect()) {
+            Entry::Occupied(known) => copied.push((row.label(), known.get().label())),
+            Entry::Vacant(place) => {
+                place.insert(row);
+            }
+        }
+    }
+    let (copy, original) = copied.first()?;
+    Some(format!(
+        "{} of {} reference rasters have the features of an earlier one to the bit, such as `{copy}` those of `{original}`: are \
+         files copied? They narrow the acceptance region; leave them out",
+        copied.len(),
+        rows.len()
+    ))
 }
 
 fn fit_columns(names: &[String], params: &FitAcceptanceParams, rows: &[FeatureRow]) -> Result<GroupModel, StageError> {
@@ -229,6 +254,20 @@ mod tests {
 
     fn at(summary: &Table, row: usize, column: &str) -> f64 {
         summary.rows[row][summary.column(column).unwrap()].number().unwrap()
+    }
+
+    #[test]
+    fn rasters_that_are_there_twice_are_told() {
+        let mut table = features();
+        for (copy, original) in [(7, 2), (20, 2), (21, 13)] {
+            let values = table.rows[original][1..].to_vec();
+            table.rows[copy].splice(1.., values);
+        }
+        let (_, _, host) = fitted(table, &json!({})).unwrap();
+        let told = |text: &String| text.contains("3 of 30") && text.contains("`r7` those of `r2`");
+        assert!(host.warnings().iter().any(told), "{:?}", host.warnings());
+        let (_, _, host) = fitted(features(), &json!({})).unwrap();
+        assert!(!host.warnings().iter().any(|text| text.contains("to the bit")));
     }
 
     #[test]

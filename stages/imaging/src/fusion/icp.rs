@@ -4,10 +4,12 @@ use nalgebra::{Matrix3, Matrix6, Rotation3, SymmetricEigen, Vector3, Vector6};
 use rayon::prelude::*;
 
 use rockface_core::artefact::{Surface, Transform};
+use rockface_core::numerics::marginal::NORMAL_MAD;
+use rockface_core::numerics::quantile::median;
 use rockface_core::{StageError, fail};
 
 use super::nearest::{Columns, Partner, local};
-use super::normals::Normals;
+use super::normals::{Neighbourhood, Normals};
 
 /// Automatic search distance, in point spacings of the target.
 const AUTOMATIC_SPACINGS: f64 = 20.0;
@@ -25,6 +27,10 @@ const STOP_ROTATION_RAD: f64 = 1e-8;
 const STOP_SHIFT_M: f64 = 1e-6;
 /// ... or both smaller than this share of their own standard deviations: what is left is noise of the pairing.
 const STOP_SHARE: f64 = 0.25;
+
+/// Factor on the noise that distances of pairs in space show: partners are chosen that fit. By trials: with less, normals of the
+/// second pass are worse than those of the first from half a spacing of noise on.
+const FITTING: f64 = 4.0;
 
 /// Which distances between paired points are minimised.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -58,7 +64,7 @@ pub struct Settings {
     pub max_distance_m: Option<f64>,
     /// Approximate number of points of the source that are used.
     pub points: usize,
-    /// Number of iterations after which it stops without having converged.
+    /// Number of iterations after which a pass stops without having converged.
     pub max_iterations: usize,
     /// Least eigenvalue, as a share of the largest, of a direction that the registration may move along.
     pub weak_eigenvalue: f64,
@@ -73,7 +79,7 @@ pub struct Registration {
     pub rms_m: f64,
     /// Number of pairs kept in the last iteration.
     pub pairs: usize,
-    /// Number of iterations made.
+    /// Number of iterations made, of both passes.
     pub iterations: usize,
     /// Whether the last step was smaller than the limits.
     pub converged: bool,
@@ -102,11 +108,11 @@ pub fn register(source: &Surface, target: &Surface, settings: &Settings) -> Resu
     let radius_m = (arms.iter().fold(0.0, |sum, a| sum + a.norm_squared()) / arms.len() as f64).sqrt();
     let origin = Vector3::from(source.origin_m) + centroid;
     let search_m = settings.max_distance_m.unwrap_or(AUTOMATIC_SPACINGS * columns.spacing_m());
-    let normals = Normals::new(target, arms.len());
-    let fit = Fit { target, normals, columns, radius_m, search_m, settings: *settings };
+    let normals = Normals::new(target, Neighbourhood::WIDEST, arms.len());
+    let fit = Fit { target, normals, finer: None, columns, radius_m, search_m, settings: *settings };
     // Relative to the target's origin, so that UTM coordinates keep their precision.
     let start = Pose { rotation: Matrix3::identity(), translation: origin - Vector3::from(target.origin_m) };
-    fit.solve(&arms, start).map(|(pose, outcome)| {
+    fit.solve_twice(&arms, start).map(|(pose, outcome)| {
         let translation = pose.translation + Vector3::from(target.origin_m);
         Registration { transform: Transform::new("source", "target", &pose.rotation, origin, translation), ..outcome }
     })
@@ -146,6 +152,8 @@ struct Pair {
 struct Fit<'a> {
     target: &'a Surface,
     normals: Normals<'a>,
+    /// Normals of the second pass; where they have too few points, it takes those of the first.
+    finer: Option<Normals<'a>>,
     columns: Columns<'a>,
     radius_m: f64,
     search_m: f64,
@@ -153,12 +161,40 @@ struct Fit<'a> {
 }
 
 impl Fit<'_> {
-    /// The pose of points about their centroid, from a pose near it.
-    fn solve(&self, arms: &[Vector3<f64>], start: Pose) -> Result<(Pose, Registration), StageError> {
-        let (mut pose, mut iterations) = (start, 0);
+    /// The pose of points about their centroid, with wide normals that no noise tilts, and from there with normals no wider than
+    /// the noise between the surfaces asks for: wide ones smooth relief away, and the surface with it.
+    fn solve_twice(mut self, arms: &[Vector3<f64>], start: Pose) -> Result<(Pose, Registration), StageError> {
         let mut points: Vec<Moving> = arms.iter().map(|arm| Moving { arm: *arm, ..Moving::default() }).collect();
+        let (pose, first) = self.solve(&mut points, start)?;
+        if self.settings.method == Method::PointToPoint {
+            return Ok((pose, first));
+        }
+        let noise_m = self.noise_m(&mut points, &pose);
+        let about = Neighbourhood::for_noise(noise_m / self.columns.spacing_m());
+        if about == Neighbourhood::WIDEST {
+            return Ok((pose, first));
+        }
+        self.finer = Some(Normals::new(self.target, about, arms.len()));
+        points
+            .par_iter_mut()
+            .for_each(|point| point.normal = point.partner.place().and_then(|place| self.normal(place)));
+        let (pose, second) = self.solve(&mut points, pose)?;
+        Ok((pose, Registration { iterations: first.iterations + second.iterations, ..second }))
+    }
+
+    /// Robust standard deviation of the distances of pairs at a pose from the planes, metres; changes hardly add to it.
+    fn noise_m(&self, points: &mut [Moving], pose: &Pose) -> f64 {
+        let mut sizes = self.pair_all(pose, points);
+        sizes.retain(|size| !size.is_nan());
+        let fitting = if self.settings.pairing == Pairing::InSpace { FITTING } else { 1.0 };
+        fitting * NORMAL_MAD * median(&mut sizes).unwrap_or(0.0)
+    }
+
+    /// The pose of points about their centroid, from a pose near it.
+    fn solve(&self, points: &mut [Moving], start: Pose) -> Result<(Pose, Registration), StageError> {
+        let (mut pose, mut iterations) = (start, 0);
         loop {
-            let system = self.system(&pose, &mut points)?;
+            let system = self.system(&pose, points)?;
             let (step, outcome) = system.solve(self.settings.weak_eigenvalue, self.radius_m);
             let (turn, shift) = (step.fixed_rows::<3>(0) / self.radius_m, step.fixed_rows::<3>(3).into_owned());
             iterations += 1;
@@ -183,15 +219,7 @@ impl Fit<'_> {
     /// The equations at a pose.
     fn system(&self, pose: &Pose, points: &mut [Moving]) -> Result<System, StageError> {
         let (all, method) = (points.len(), self.settings.method);
-        let mut sizes = vec![f64::NAN; all];
-        sizes.par_chunks_mut(POINTS_AT_A_TIME).zip(points.par_chunks_mut(POINTS_AT_A_TIME)).for_each(
-            |(sizes, points)| {
-                for (size, point) in sizes.iter_mut().zip(points) {
-                    self.pair_up(pose, point);
-                    *size = self.pair(pose, point).map_or(f64::NAN, |pair| pair.size(method));
-                }
-            },
-        );
+        let sizes = self.pair_all(pose, points);
         let mut sorted: Vec<f64> = sizes.iter().copied().filter(|size| !size.is_nan()).collect();
         let count = sorted.len();
         let least = ((all as f64 * LEAST_OVERLAP) as usize).max(LEAST_PAIRS);
@@ -216,6 +244,20 @@ impl Fit<'_> {
         Ok(systems.iter().fold(System::default(), System::and))
     }
 
+    /// Finds the partners of points at a pose; their distances, NaN without a partner.
+    fn pair_all(&self, pose: &Pose, points: &mut [Moving]) -> Vec<f64> {
+        let mut sizes = vec![f64::NAN; points.len()];
+        sizes.par_chunks_mut(POINTS_AT_A_TIME).zip(points.par_chunks_mut(POINTS_AT_A_TIME)).for_each(
+            |(sizes, points)| {
+                for (size, point) in sizes.iter_mut().zip(points) {
+                    self.pair_up(pose, point);
+                    *size = self.pair(pose, point).map_or(f64::NAN, |pair| pair.size(self.settings.method));
+                }
+            },
+        );
+        sizes
+    }
+
     /// Finds the partner of a point at a pose.
     fn pair_up(&self, pose: &Pose, moving: &mut Moving) {
         let point = pose.rotation * moving.arm + pose.translation;
@@ -223,9 +265,14 @@ impl Fit<'_> {
         if let Some(place) = self.columns.follow(&point, self.search_m, &mut moving.partner)
             && before != Some(place)
         {
-            moving.normal = self.normals.at(place);
+            moving.normal = self.normal(place);
             moving.target = local(self.target, place);
         }
+    }
+
+    fn normal(&self, place: usize) -> Option<Vector3<f64>> {
+        let finer = self.finer.as_ref().and_then(|normals| normals.at(place));
+        finer.or_else(|| self.normals.at(place))
     }
 
     /// A point at a pose and its partner, where it has one with a normal within the search distance.

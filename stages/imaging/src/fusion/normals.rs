@@ -8,20 +8,59 @@ use rayon::prelude::*;
 
 use rockface_core::artefact::Surface;
 
-/// Side of the blocks of points that share a normal.
-const BLOCK: usize = 4;
-/// Half width, in points, of the neighbourhood of a block's centre. Where matching noise is two point spacings, normals
-/// from 5 x 5 points would be off by 16 degrees, from 17 x 17 they are off by 1.4.
-const REACH: usize = 8;
+/// Which points a normal is computed from, and which share it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Neighbourhood {
+    /// Half width, in points, of the square about the centre of a block that its normal is computed from.
+    reach: usize,
+    /// Side, in points, of the blocks that share a normal.
+    block: usize,
+}
+
+impl Neighbourhood {
+    /// 17 x 17 points, one normal for 4 x 4: where matching noise is two point spacings, normals from 5 x 5 points would be
+    /// off by 16 degrees, from these they are off by 1.4. Relief shorter than these points is smoothed away.
+    pub const WIDEST: Self = Self { reach: 8, block: 4 };
+    /// Reach where there is no noise, and what each spacing of noise adds to it.
+    const LEAST_REACH: f64 = 2.0;
+    const REACH_PER_SPACING: f64 = 3.0;
+
+    /// The neighbourhood for noise of so many point spacings, in whole steps from 5 x 5 points without noise to the widest
+    /// at two spacings.
+    pub fn for_noise(spacings: f64) -> Self {
+        let reach = (Self::LEAST_REACH + Self::REACH_PER_SPACING * spacings).round() as usize;
+        if reach < Self::WIDEST.reach { Self { reach, block: 2 } } else { Self::WIDEST }
+    }
+
+    /// The row or column about which the normal of a block is computed.
+    fn centre(self, block: usize) -> usize {
+        block * self.block + self.block / 2
+    }
+
+    /// Rows or columns of the neighbourhood of a centre.
+    fn span(self, centre: usize, size: usize) -> Range<usize> {
+        centre.saturating_sub(self.reach)..(centre + self.reach + 1).min(size)
+    }
+
+    /// The normal about a row by the rows of its neighbourhood; `None` for too few points.
+    fn normal(self, centre: usize, rows: impl Iterator<Item = (usize, RowSums)>) -> Option<Vector3<f64>> {
+        let mut lines = Regression::default();
+        rows.for_each(|(row, sums)| lines.add(row as f64 - centre as f64, &sums));
+        let side = 2 * self.reach + 1;
+        if lines.count >= (side * side) as f64 * LEAST_FILLED { lines.normal() } else { None }
+    }
+}
+
 /// Least share of the neighbourhood that has points.
 const LEAST_FILLED: f64 = 0.5;
 
 /// Rows of blocks whose normals are computed together: the rows of points they share are summed up once.
 const BAND: usize = 8;
 
-/// One normal for every block of 4 x 4 points, by regression over 17 x 17 points about it.
+/// One normal for every block of points, by regression over the points about it.
 pub struct Normals<'a> {
     surface: &'a Surface,
+    about: Neighbourhood,
     blocks_wide: usize,
     /// Those of a registration by a subset of points are computed on first use.
     blocks: Vec<OnceLock<Option<Vector3<f64>>>>,
@@ -29,10 +68,10 @@ pub struct Normals<'a> {
 
 impl<'a> Normals<'a> {
     /// The normals of a surface, of which about so many will be asked for.
-    pub fn new(surface: &'a Surface, wanted: usize) -> Self {
-        let (blocks_wide, blocks_high) = (surface.width.div_ceil(BLOCK), surface.height.div_ceil(BLOCK));
-        let mut normals =
-            Self { surface, blocks_wide, blocks: (0..blocks_wide * blocks_high).map(|_| OnceLock::new()).collect() };
+    pub fn new(surface: &'a Surface, about: Neighbourhood, wanted: usize) -> Self {
+        let (blocks_wide, blocks_high) = (surface.width.div_ceil(about.block), surface.height.div_ceil(about.block));
+        let blocks = (0..blocks_wide * blocks_high).map(|_| OnceLock::new()).collect();
+        let mut normals = Self { surface, about, blocks_wide, blocks };
         if wanted >= normals.blocks.len() / 2 {
             normals.compute_all();
         }
@@ -40,39 +79,32 @@ impl<'a> Normals<'a> {
     }
 
     fn compute_all(&mut self) {
-        let (surface, wide) = (self.surface, self.blocks_wide);
+        let (surface, about, wide) = (self.surface, self.about, self.blocks_wide);
         self.blocks.par_chunks_mut(BAND * wide).enumerate().for_each(|(band, blocks)| {
             let first = band * BAND;
             let last = first + blocks.len() / wide - 1;
-            let rows = span(centre(first), surface.height).start..span(centre(last), surface.height).end;
-            let of_row = |row: usize| (0..wide).map(move |block| RowSums::of(surface, row, centre(block)));
+            let span = |centre: usize| about.span(centre, surface.height);
+            let rows = span(about.centre(first)).start..span(about.centre(last)).end;
+            let of_row = |row: usize| (0..wide).map(move |block| RowSums::of(surface, about, row, about.centre(block)));
             let sums: Vec<RowSums> = rows.clone().flat_map(of_row).collect();
             for (place, block) in blocks.iter_mut().enumerate() {
-                let (row, column) = (centre(first + place / wide), place % wide);
-                let sums = span(row, surface.height).map(|r| (r, sums[(r - rows.start) * wide + column]));
-                *block = OnceLock::from(normal(row, sums));
+                let (row, column) = (about.centre(first + place / wide), place % wide);
+                let sums = span(row).map(|r| (r, sums[(r - rows.start) * wide + column]));
+                *block = OnceLock::from(about.normal(row, sums));
             }
         });
     }
 
     /// Unit normal at a place of the surface, of either sign; `None` where too few points are near.
     pub fn at(&self, place: usize) -> Option<Vector3<f64>> {
-        let (row, column) = (place / self.surface.width / BLOCK, place % self.surface.width / BLOCK);
+        let Self { surface, about, .. } = *self;
+        let (row, column) = (place / surface.width / about.block, place % surface.width / about.block);
         *self.blocks[row * self.blocks_wide + column].get_or_init(|| {
-            let (row, column) = (centre(row), centre(column));
-            normal(row, span(row, self.surface.height).map(|r| (r, RowSums::of(self.surface, r, column))))
+            let (row, column) = (about.centre(row), about.centre(column));
+            let rows = about.span(row, surface.height);
+            about.normal(row, rows.map(|r| (r, RowSums::of(surface, about, r, column))))
         })
     }
-}
-
-/// The row or column about which the normal of a block is computed.
-fn centre(block: usize) -> usize {
-    block * BLOCK + BLOCK / 2
-}
-
-/// Rows or columns of the neighbourhood of a centre.
-fn span(centre: usize, size: usize) -> Range<usize> {
-    centre.saturating_sub(REACH)..(centre + REACH + 1).min(size)
 }
 
 /// Sums over the points in a row of a neighbourhood, by column u about its centre.
@@ -86,8 +118,8 @@ struct RowSums {
 }
 
 impl RowSums {
-    fn of(surface: &Surface, row: usize, centre: usize) -> Self {
-        let columns = span(centre, surface.width);
+    fn of(surface: &Surface, about: Neighbourhood, row: usize, centre: usize) -> Self {
+        let columns = about.span(centre, surface.width);
         let points = &surface.points[row * surface.width..][columns.clone()];
         let mut sums = Self::default();
         for (column, point) in columns.zip(points).filter(|(_, point)| !point[0].is_nan()) {
@@ -101,14 +133,6 @@ impl RowSums {
         }
         sums
     }
-}
-
-/// The normal of a neighbourhood by its rows; `None` for too few points.
-fn normal(centre: usize, rows: impl Iterator<Item = (usize, RowSums)>) -> Option<Vector3<f64>> {
-    let mut lines = Regression::default();
-    rows.for_each(|(row, sums)| lines.add(row as f64 - centre as f64, &sums));
-    let least = ((2 * REACH + 1) * (2 * REACH + 1)) as f64 * LEAST_FILLED;
-    if lines.count >= least { lines.normal() } else { None }
 }
 
 /// Regression of points on their columns u and rows v. Noise along the view does not bias it, as it would a best-fit
@@ -164,7 +188,8 @@ mod tests {
         let points = (0..width * height).map(at).collect();
         let squares = vec![3; (width - 1) * (height - 1)];
         let surface = Surface { frame: Frame::Wall, width, height, origin_m: [0.0; 3], points, squares };
-        let (normals, truth) = (Normals::new(&surface, 0), Vector3::new(-0.3, 0.0, 1.0).normalize());
+        let (normals, truth) =
+            (Normals::new(&surface, Neighbourhood::WIDEST, 0), Vector3::new(-0.3, 0.0, 1.0).normalize());
         let turned = |row: usize, column: usize| normals.at(row * width + column).unwrap().cross(&truth).norm();
         let inner: Vec<f64> =
             (10..50).flat_map(|row| (10..70).map(move |column| (row, column))).map(|(r, c)| turned(r, c)).collect();
@@ -186,9 +211,18 @@ mod tests {
         let points = (0..width * height).map(at).collect();
         let squares = vec![3; (width - 1) * (height - 1)];
         let surface = Surface { frame: Frame::Wall, width, height, origin_m: [0.0; 3], points, squares };
-        let (each, all) = (Normals::new(&surface, 0), Normals::new(&surface, width * height));
-        let found: Vec<_> = (0..width * height).map(|place| each.at(place)).collect();
-        assert!(found.iter().any(Option::is_none) && found.iter().any(Option::is_some));
-        assert_eq!(found, (0..width * height).map(|place| all.at(place)).collect::<Vec<_>>());
+        for about in [Neighbourhood::WIDEST, Neighbourhood::for_noise(0.0), Neighbourhood::for_noise(1.0)] {
+            let (each, all) = (Normals::new(&surface, about, 0), Normals::new(&surface, about, width * height));
+            let found: Vec<_> = (0..width * height).map(|place| each.at(place)).collect();
+            assert!(found.iter().any(Option::is_none) && found.iter().any(Option::is_some));
+            assert_eq!(found, (0..width * height).map(|place| all.at(place)).collect::<Vec<_>>());
+        }
+    }
+
+    #[test]
+    fn neighbourhoods_grow_with_noise() {
+        let reach = |spacings: f64| Neighbourhood::for_noise(spacings).reach;
+        assert_eq!([0.0, 0.1, 0.2, 0.5, 1.0, 1.5, 2.0, 50.0].map(reach), [2, 2, 3, 4, 5, 7, 8, 8]);
+        assert_eq!(Neighbourhood::for_noise(2.0), Neighbourhood::WIDEST);
     }
 }

@@ -34,7 +34,8 @@ union! {
     pub enum NoiseSharing {
         /// Nothing: every pair has errors of its own (the paper), which average away over the pairs.
         Pair(Whole) = "pair",
-        /// Everything: half of a pair's noise variance is each image's, the same in all of its pairs.
+        /// Everything: half of a pair's noise variance is each image's, errors of its positions, of which each of its pairs has what is along
+        /// its baseline.
         Image(Whole) = "image",
         /// Something of both.
         Mix(Mix) = "mix",
@@ -80,7 +81,7 @@ pub struct MatchImage;
 impl Stage for MatchImage {
     type Params = MatchImageParams;
     const NAME: &'static str = "match-image";
-    const VERSION: u32 = 10;
+    const VERSION: u32 = 11;
     const PAGE: Page = Page::new(include_str!("match_image.md"));
     const INPUTS: &'static [Port] = &[
         Port::many(

@@ -30,6 +30,15 @@ impl<'a> PairGeometry<'a> {
         Ok(Self { ideal, cameras: ideal.map(Camera::of_depth), noisy, rectification })
     }
 
+    /// Cosine and sine, by columns and rows, of the direction in which an image has its partner: that of the baseline in the image
+    /// plane, and of the epipolar line through the principal point.
+    pub fn towards_partner(&self, side: Side) -> [f64; 2] {
+        let (here, there) = (&self.noisy[side], &self.noisy[side.other()]);
+        let base = here.camera_from_object() * (there.centre() - here.centre());
+        let length = (base.x * base.x + base.y * base.y).sqrt();
+        if length > 0.0 { [base.x / length, base.y / length] } else { [1.0, 0.0] }
+    }
+
     /// The smooth noise of the pair; its nodes over the rectified first image are drawn once, here.
     pub fn smooth_noise(&self, key: &Key, recipe: FieldRecipe) -> Result<SmoothNoise, StageError> {
         let [low, high] = self.rectified_extent()?;

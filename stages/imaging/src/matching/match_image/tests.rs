@@ -274,6 +274,46 @@ fn noise_of_pairs_averages_away_and_noise_of_images_stays() {
 }
 
 #[test]
+fn noise_of_images_goes_by_the_direction_of_the_partner() {
+    let sensor = Sensor { width_px: 160, height_px: 160, f: 150.0, cx: 79.5, cy: 79.5, ..small_sensor() };
+    let plane = height_mesh(2, [-60.0, 60.0, -60.0, 60.0], |_, _| 0.0);
+    let places = [("c", [0.0, 0.0]), ("east", [2.0, 0.0]), ("west", [-2.0, 0.0]), ("north", [0.0, 2.0])];
+    let images = places.map(|(name, [x, y])| image_at(name, [x, y, 20.0], [0.0; 3])).to_vec();
+    let depths: Vec<Depth> = images.iter().map(|image| project(&plane, &sensor, image)).collect();
+    let noisy = Cameras { frame: Frame::Wall, sensors: vec![sensor.clone()], images };
+    // Errors of depth of the image in the middle, from one pair.
+    let errors = |first: &str, second: &str, noise: Value| {
+        let mut pairs = block(2, &sensor, &plane).pairs;
+        (pairs.pairs[0].first, pairs.pairs[0].second) = (first.into(), second.into());
+        let mut with = noise;
+        (with["image"], with["noise_sharing"], with["spacing_px"]) = ("c".into(), "image".into(), 4.into());
+        let map = matched(&Block { noisy: noisy.clone(), depths: depths.clone(), pairs }, &with);
+        map.z.iter().zip(&depths[0].z).map(|(z, ideal)| f64::from(z - ideal)).collect::<Vec<f64>>()
+    };
+    let correlation = |one: &[f64], other: &[f64]| {
+        let both: Vec<[f64; 2]> =
+            one.iter().zip(other).map(|(a, b)| [*a, *b]).filter(|[a, b]| a.is_finite() && b.is_finite()).collect();
+        assert!(both.len() > 10_000, "{}", both.len());
+        let sum = |i: usize, j: usize| both.iter().map(|pair| pair[i] * pair[j]).sum::<f64>();
+        sum(0, 1) / (sum(0, 0) * sum(1, 1)).sqrt()
+    };
+    for noise in [
+        json!({"sigma_local_px": 0.01, "sigma_regular_px": 0}),
+        json!({"sigma_local_px": 0, "sigma_regular_px": 0.01}),
+        json!({"sigma_local_px": 0.01, "sigma_regular_px": 0, "matcher": {"local_length_px": 2}}),
+    ] {
+        let [east, west, north] = ["east", "west", "north"].map(|partner| errors("c", partner, noise.clone()));
+        // Half of the variance is that of the image in the middle.
+        let (opposite, across) = (correlation(&east, &west), correlation(&east, &north));
+        assert!((opposite + 0.5).abs() < 0.1 && across.abs() < 0.1, "{noise}: {opposite} {across}");
+        for (partner, errors_there) in [("east", &east), ("north", &north)] {
+            let swapped = errors(partner, "c", noise.clone());
+            assert!(correlation(errors_there, &swapped) > 0.999, "{noise}: {partner}");
+        }
+    }
+}
+
+#[test]
 fn without_noise_the_truth_comes_back_and_threads_change_nothing() {
     let block = block(3, &lens(), &wavy());
     let map = matched(&block, &json!({"image": "b", "sigma_local_px": 0, "sigma_regular_px": 0}));

@@ -5,6 +5,7 @@ use crate::matching::noise::correlated::CorrelatedNoise;
 use crate::matching::noise::model::Scaled;
 use crate::matching::noise::modulation::{Blunders, Modulation, Patches, smooth_field};
 use crate::matching::noise::paper::{Distribution, FieldRecipe, LocalNoise, SmoothNoise};
+use crate::matching::noise::sharing::{Owner, shared};
 use crate::matching::noise::strength::Strength;
 use crate::matching::noise::terms::{Address, Ledges, Part, Relief, Terms, UnitField};
 use crate::matching::noise::window::{WindowEffects, relief, seen_depth};
@@ -129,8 +130,8 @@ params! {
         local_smoothness: f64 = 0.5; Range::Between(0.1, 5.0),
         /// How many times longer it is along the rows of the image than down the columns, which `local_length_px` is for.
         local_stretch: f64 = 1.0; Range::Between(0.2, 20.0),
-        /// Share of the noise variance that belongs to the two images, half each, and is common to all pairs of an image; the rest
-        /// is the pair's own. The steps that are to share it need one stream that does not depend on the pair.
+        /// Share of the noise variance that belongs to the two images, half each: errors of positions in an image, of which every
+        /// pair of the image has what is along its baseline. The rest is the pair's own. The steps that are to share it need one stream that does not depend on the pair.
         image_share: f64 = 0.0; Range::Between(0.0, 1.0),
         /// How acquisitions differ.
         acquisition: Option<Acquisition> = None,
@@ -190,11 +191,6 @@ impl PairScene<'_> {
     fn extent(&self, side: Side) -> [f64; 2] {
         let depth = self.geometry.ideal[side];
         [depth.width as f64, depth.height as f64]
-    }
-
-    /// The item of the stream of a field: the pair, or an image.
-    fn item(&self, side: Option<Side>) -> &str {
-        side.map_or(self.name, |side| self.geometry.ideal[side].image.name.as_str())
     }
 }
 
@@ -321,37 +317,21 @@ impl MatcherTerms {
         Ok(Some(Strength::new(raster, self.ledges.as_ref().map_or(f64::INFINITY, |ledges| ledges.from))))
     }
 
-    /// The fields of the pair (`None`) and of its images, weighted by the square roots of their shares; the error of the second
-    /// image is subtracted, as its position is in the disparity.
-    fn shared<E>(&self, mut field: impl FnMut(Option<Side>) -> Result<Part, E>) -> Result<Vec<Part>, E> {
-        let mut parts = Vec::new();
-        for (share, side, sign) in [
-            (1.0 - self.image_share, None, 1.0),
-            (0.5 * self.image_share, Some(Side::First), 1.0),
-            (0.5 * self.image_share, Some(Side::Second), -1.0),
-        ] {
-            if share > 0.0 {
-                parts.push(Part { weight: sign * share.sqrt(), ..field(side)? });
-            }
-        }
-        Ok(parts)
-    }
-
     fn local_parts(&self, noise: &PaperNoise, scene: &PairScene, keys: Keys, length_factor: f64) -> Vec<Part> {
-        let part = |side: Option<Side>| {
-            let item = scene.item(side);
+        let part = |owner: Owner| {
+            let (item, side) = (owner.item(scene), owner.side().unwrap_or(Side::First));
+            let purpose = owner.purpose("match-local");
             let field = if self.local_length_px > 0.0 {
-                let key = |level: usize| keys(&format!("match-local-{level}"), item);
-                let (low, high) = ([0.0; 2], scene.extent(side.unwrap_or(Side::First)));
+                let key = |level: usize| keys(&format!("{purpose}-{level}"), item);
+                let (low, high) = ([0.0; 2], scene.extent(side));
                 let length_px = self.local_length_px * length_factor;
                 UnitField::Correlated(CorrelatedNoise::new(length_px, self.local_smoothness, key, low, high))
             } else {
-                UnitField::White(LocalNoise::new(&keys("match-local", item), noise.local_distribution))
+                UnitField::White(LocalNoise::new(&keys(&purpose, item), noise.local_distribution))
             };
-            let address = Address::pixel(side.unwrap_or(Side::First));
-            Ok::<_, std::convert::Infallible>(Part { weight: 1.0, address, field })
+            Ok::<_, std::convert::Infallible>(Part { weight: 1.0, address: Address::pixel(side), field })
         };
-        let Ok(parts) = self.shared(part);
+        let Ok(parts) = shared(self.image_share, scene, part);
         parts
     }
 
@@ -359,9 +339,9 @@ impl MatcherTerms {
         if noise.sigma_regular_px <= 0.0 {
             return Ok(Vec::new());
         }
-        self.shared(|side| {
-            let key = keys("match-regular", scene.item(side));
-            let (address, field) = match side {
+        shared(self.image_share, scene, |owner| {
+            let key = keys(&owner.purpose("match-regular"), owner.item(scene));
+            let (address, field) = match owner.side() {
                 None => (Address::Rectified, scene.geometry.smooth_noise(&key, noise.recipe)?),
                 Some(side) => {
                     let field = SmoothNoise::new(&key, noise.recipe, [0.0; 2], scene.extent(side));

@@ -12,6 +12,7 @@ pub mod model_draws;
 pub mod modulation;
 pub mod paper;
 pub mod parametric;
+pub mod sharing;
 pub mod skewness;
 pub mod spline;
 pub mod strength;

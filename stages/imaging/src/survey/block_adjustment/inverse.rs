@@ -59,6 +59,22 @@ pub fn invert(normals: &Normals, cameras: &Cameras, unknowns: &Unknowns, datum: 
     }
 }
 
+/// What determines a block with so many free directions of the whole and so many others.
+fn way_out(whole: usize, others: usize) -> String {
+    let block = match whole {
+        0 => "",
+        7.. => "give `control_points` (three or more), `position_sigma_m` (GNSS), or datum `inner`",
+        _ => {
+            "projection centres or control points that are on one line, as those of two images always are, leave the turn about \
+             it free, however well they are measured: give `control_points` (three or more), an image off the line with \
+             `position_sigma_m`, or datum `inner` without both"
+        }
+    };
+    let lens =
+        if others > 0 { "fewer `free_interior` or an `interior_sigma` where lens parameters are free" } else { "" };
+    [block, lens].into_iter().filter(|text| !text.is_empty()).collect::<Vec<_>>().join("; ")
+}
+
 fn no_inner() -> StageError {
     StageError::new("inner constraints need projection centres that do not lie in one point")
         .hint("use control points (`control_points`) instead of datum `inner`")
@@ -172,9 +188,6 @@ impl Scaled {
             named.push(format!("one of {} and others together", names.join(", ")));
         }
         let message = format!("the block is not determined: {} free directions: {}", free.len(), named.join("; "));
-        StageError::new(message).hint(
-            "give `control_points` (three or more), `position_sigma_m` (GNSS), or datum `inner`; fewer `free_interior` or an \
-             `interior_sigma` where lens parameters are free",
-        )
+        StageError::new(message).hint(way_out(whole.len(), others.len()))
     }
 }

@@ -70,6 +70,9 @@ fn an_estimated_lens_and_gnss_positions_work_too() {
     // Two centres leave the turn about their line to nothing.
     let error = estimate(&host, &cameras, &mesh, &gnss).unwrap_err();
     assert!(error.message.contains("1 free directions: 1 of the block as a whole"), "{error}");
+    // Positions were given: more of them does not help.
+    let hint = error.hint.clone().unwrap();
+    assert!(hint.contains("two images") && hint.contains("`control_points`") && !hint.contains("GNSS"), "{hint}");
     let error = estimate(&host, &cameras, &mesh, &json!({"control_points": 0})).unwrap_err();
     assert!(error.message.contains("7 free directions: 7 of the block as a whole"), "{error}");
     assert!(error.hint.unwrap().contains("control_points"));
