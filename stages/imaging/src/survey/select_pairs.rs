@@ -241,7 +241,9 @@ mod tests {
     fn face(frame: Frame) -> Mesh {
         let at = |i: i32| 0.25 * f64::from(i) - 0.125;
         let vertices = (-80..80).flat_map(|i| (-40..40).map(move |j| [at(i), at(j), 0.0])).collect();
-        Mesh { frame, vertices, triangles: vec![[0, 1, 80]], colours: Vec::new() }
+        let squares = (0..159u32).flat_map(|i| (0..79).map(move |j| 80 * i + j));
+        let triangles = squares.flat_map(|v| [[v, v + 80, v + 1], [v + 1, v + 80, v + 81]]).collect();
+        Mesh { frame, vertices, triangles, colours: Vec::new() }
     }
 
     fn select(cameras: &Cameras, mesh: Mesh, with: &Value) -> Result<Vec<Pair>, StageError> {

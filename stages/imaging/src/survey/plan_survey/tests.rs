@@ -13,7 +13,9 @@ fn face(frame: Frame) -> Mesh {
     let vertices =
         (0..21).flat_map(|i| (0..21).map(move |j| [f64::from(i), f64::from(j), 0.5 * f64::from((i + j) % 2)]));
     let vertices: Vec<_> = vertices.collect();
-    Mesh { frame, vertices, triangles: vec![[0, 1, 22]], colours: Vec::new() }
+    let squares = (0..20u32).flat_map(|i| (0..20).map(move |j| 21 * i + j));
+    let triangles = squares.flat_map(|v| [[v, v + 21, v + 1], [v + 1, v + 21, v + 22]]).collect();
+    Mesh { frame, vertices, triangles, colours: Vec::new() }
 }
 
 fn plan(host: &TestHost, mesh: Mesh, with: &Value) -> Result<Cameras, StageError> {
