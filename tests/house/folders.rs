@@ -20,7 +20,7 @@ fn including() -> House {
 
 #[test]
 fn what_only_a_picture_shows_is_among_the_headlines() {
-    let picture = "  picture: {stage: draw-picture, in: {subject: dem.dem}}\n";
+    let picture = "  picture: {stage: draw-picture, in: {subject: dem.raster}}\n";
     let house = House::new(&format!("{SMALL}{picture}"));
     let (code, out, err) = house.rockface(&["run", "p.yaml"]);
     assert_eq!(code, Some(0), "{err}");
