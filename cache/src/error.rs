@@ -201,7 +201,12 @@ fn owner_who_may_open(path: &Path) -> Option<String> {
 fn store_around<'p>(place: &'p Path, path: &Path) -> Option<&'p Path> {
     let around = place.ancestors().find(|folder| folder.join("format").is_file());
     let within = path.strip_prefix(place).ok().and_then(|rest| rest.components().next());
-    let is_root = within.is_some_and(|first| crate::open::is_own(first.as_os_str()));
+    let is_shut = || {
+        let looked = std::fs::metadata(place.join("format"));
+        looked.is_err_and(|fault| fault.kind() == io::ErrorKind::PermissionDenied)
+    };
+    // A folder that is named itself and may not be entered is the one that was given.
+    let is_root = within.map_or_else(is_shut, |first| crate::open::is_own(first.as_os_str()));
     around.or_else(|| is_root.then_some(place))
 }
 
