@@ -151,8 +151,8 @@ mod tests {
         let store = Store::open(&place.path().join("store")).unwrap();
         let folder: &std::ffi::OsStr = std::os::unix::ffi::OsStrExt::from_bytes(b"/r/\xff");
         assert!(!store.memory().note_folder(&RunNote::new(Path::new(folder), [], 7, true)).unwrap());
-        const BESIDE: &str = r#"{"folder": "r", "finished": 7, "pinned": true, "names": ""}"#;
-        for text in [r#"{"folder": "/r", "names": "xyz"}"#, r#"{"folder": "/r"}"#, "[]", "7", BESIDE] {
+        let relative = r#"{"folder": "r", "finished": 7, "pinned": true, "names": ""}"#;
+        for text in [r#"{"folder": "/r", "names": "xyz"}"#, r#"{"folder": "/r"}"#, "[]", "7", relative] {
             assert_eq!(RunNote::decode(&serde_json::from_str(text).unwrap()), None, "{text}");
         }
         let foreign = RunNote::new(Path::new("/r/1"), [], 7, true).encode().unwrap();
