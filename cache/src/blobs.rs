@@ -121,10 +121,15 @@ impl Blobs {
                 Err(fault) if fault.kind() == ErrorKind::NotFound => continue,
                 meta => meta.at("look at", &folder)?,
             };
-            if !meta.is_dir() {
+            // One that is being made has another name, and may be open to its maker only.
+            if !meta.is_dir() || !is_folder_name(&folder) {
                 continue;
             }
-            for blob in fs::read_dir(&folder).at("list", &folder)? {
+            let blobs = match fs::read_dir(&folder) {
+                Err(fault) if fault.kind() == ErrorKind::NotFound => continue,
+                blobs => blobs.at("list", &folder)?,
+            };
+            for blob in blobs {
                 let name = blob.at("list", &folder)?.file_name();
                 found.extend(name.to_str().and_then(|name| name.parse::<Digest>().ok()));
             }
@@ -186,6 +191,12 @@ impl Blobs {
         }
         Ok(())
     }
+}
+
+/// Whether the blobs with the same first two digits are in a folder of this name.
+fn is_folder_name(folder: &Path) -> bool {
+    let name = folder.file_name().unwrap_or_default().as_encoded_bytes();
+    name.len() == 2 && name.iter().all(u8::is_ascii_hexdigit)
 }
 
 /// When a blob was last put or verified, seconds since 1970.
@@ -255,6 +266,15 @@ mod tests {
         blobs.take_back().unwrap();
         assert_eq!(blobs.get(&digest).unwrap(), b"blob");
         assert!(!away.exists());
+    }
+
+    #[test]
+    fn folders_that_are_being_made_are_passed_over() {
+        let (folder, blobs, digest) = aged();
+        let new = folder.path().join(BLOBS).join(".new-a1b2c3");
+        fs::create_dir(&new).unwrap();
+        fs::write(new.join(Digest::of(b"other").to_string()), "").unwrap();
+        assert_eq!(blobs.list().unwrap(), [digest]);
     }
 
     #[test]

@@ -4,7 +4,7 @@ use std::io;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
-use nix::unistd::{Gid, Group, Uid, User};
+use nix::unistd::{Uid, User};
 use rustix::process::{getegid, geteuid, getgroups};
 
 use crate::Digest;
@@ -45,8 +45,8 @@ pub enum StoreError {
     },
     /// A run may not write to the store.
     #[error(
-        "the store {} can only be read ({}: {source}), and a run has to write there what it references: give another one with `--store DIR`; {}",
-        dir.display(), path.display(), way_out(path, source)
+        "the store {} can only be read ({}: {source}), and a run has to write there what it references: give another one with `--store DIR`{}",
+        dir.display(), path.display(), way_to_write(path, source)
     )]
     ReadOnly {
         /// The folder of the store.
@@ -152,40 +152,62 @@ pub enum StoreError {
 
 /// What may help where the system refused something.
 fn way_out(path: &Path, source: &io::Error) -> String {
-    let owner = || (source.kind() == io::ErrorKind::PermissionDenied).then(|| owner_who_may_open(path)).flatten();
+    let refused = || (source.kind() == io::ErrorKind::PermissionDenied).then(|| owner_who_may_open(path)).flatten();
     match source.kind() {
         io::ErrorKind::FileTooLarge => {
             "raise the limit on the size of files (`ulimit -f`), or use another file system".to_owned()
         }
-        _ => owner().unwrap_or_else(|| "check that the path exists and that you may use it".to_owned()),
+        _ => refused().unwrap_or_else(|| "check that the path exists and that you may use it".to_owned()),
     }
 }
 
-/// Whose a path is that this user may not use, or the nearest folder around it that can be looked at, and how its owner opens it.
+/// What may help besides another store where one can only be read: nothing where its disk is mounted so.
+fn way_to_write(path: &Path, source: &io::Error) -> String {
+    let refused = (source.kind() == io::ErrorKind::PermissionDenied).then(|| owner_who_may_open(path)).flatten();
+    refused.map_or_else(String::new, |way| format!("; {way}"))
+}
+
+/// Whose a path in a store is that this user may not use, or the nearest folder around it that can be looked at, and what its owner can do;
+/// `None` where that is not in a store.
 fn owner_who_may_open(path: &Path) -> Option<String> {
     let (place, meta) = path.ancestors().find_map(|place| Some((place, std::fs::symlink_metadata(place).ok()?)))?;
-    let (owner, group) = (meta.uid(), meta.gid());
-    let is_member =
-        getegid().as_raw() == group || getgroups().is_ok_and(|groups| groups.iter().any(|own| own.as_raw() == group));
-    let whom = if owner == geteuid().as_raw() {
-        "u"
-    } else if is_member {
-        "g"
-    } else {
-        "o"
-    };
-    let what = if meta.is_dir() { "rwx" } else { "rw" };
+    let root = store_around(place, path)?;
+    let (owner, group, mode) = (meta.uid(), meta.gid(), meta.mode() & 0o7777);
     let name = User::from_uid(Uid::from_raw(owner)).ok().flatten();
     let name = name.map_or_else(|| format!("user {owner}"), |user| user.name);
-    let (mode, place) = (meta.mode() & 0o7777, place.display());
-    if whom == "o" && mode & 0o060 == 0o060 {
-        let group =
-            Group::from_gid(Gid::from_raw(group)).ok().flatten().map_or_else(|| group.to_string(), |group| group.name);
-        return Some(format!(
-            "{place} belongs to {name} and the group {group} (mode {mode:04o}): ask to be made a member of it"
-        ));
+    let whose = format!("{} belongs to {name} (mode {mode:04o})", place.display());
+    let is_member =
+        getegid().as_raw() == group || getgroups().is_ok_and(|groups| groups.iter().any(|own| own.as_raw() == group));
+    // What the owner of a store lets its group do at its root may be let it in all of it.
+    let root_mode = std::fs::metadata(root).map_or(0, |meta| meta.mode());
+    let is_own = owner == geteuid().as_raw();
+    let (letter, shift) = if is_own { ('u', 6) } else { ('g', 3) };
+    let is_for_group = is_member && place != root && root_mode & 0o070 != 0;
+    let is_appended_to = place.extension().is_some_and(|end| end == "seg" || end == "lock");
+    let (bits, what) = match (meta.is_dir(), is_appended_to) {
+        (true, _) => (7, "rwx"),
+        (false, true) => (6, "rw"),
+        (false, false) => (4, "r"),
+    };
+    let lacks = (mode >> shift) & bits != bits;
+    if lacks && (is_own || is_for_group) {
+        let way = format!("`chmod {letter}+{what} {}`", place.display());
+        return Some(format!("{whose}, who opens it with {way}: see \"A store of several users\" in docs/cluster.md"));
     }
-    Some(format!("{place} belongs to {name} (mode {mode:04o}), who opens it with `chmod {whom}+{what} {place}`"))
+    (!is_own).then(|| format!("{whose}: ask them, or give another place"))
+}
+
+/// The root of the store that a place is in or is, if it is one; one that may not be looked into is known by what was looked for in it at `path`.
+fn store_around<'p>(place: &'p Path, path: &Path) -> Option<&'p Path> {
+    let around = place.ancestors().find(|folder| folder.join("format").is_file());
+    let within = path.strip_prefix(place).ok().and_then(|rest| rest.components().next());
+    let is_shut = || {
+        let looked = std::fs::metadata(place.join("format"));
+        looked.is_err_and(|fault| fault.kind() == io::ErrorKind::PermissionDenied)
+    };
+    // A folder that is named itself and may not be entered is the one that was given.
+    let is_root = within.map_or_else(is_shut, |first| crate::open::is_own(first.as_os_str()));
+    around.or_else(|| is_root.then_some(place))
 }
 
 impl StoreError {
@@ -293,20 +315,76 @@ mod tests {
         assert!(matches!(other, StoreError::Io { .. }));
     }
 
+    fn denied(path: &Path) -> String {
+        StoreError::io("open", path, io::ErrorKind::PermissionDenied.into()).to_string()
+    }
+
     #[test]
-    fn a_file_of_somebody_who_lets_nobody_else_use_it_is_named_with_its_owner() {
-        let denied = |path: &Path| StoreError::io("open", path, io::ErrorKind::PermissionDenied.into()).to_string();
-        let told = denied(Path::new("/proc/1"));
-        assert!(told.contains("/proc/1 belongs to root (mode 0555)") && told.contains("+rwx /proc/1`"), "{told}");
+    fn a_file_that_may_not_be_used_is_named_with_its_owner_and_what_the_owner_can_do() {
         let place = tempfile::tempdir().unwrap();
-        let path = place.path().join("a.seg");
-        std::fs::write(&path, "").unwrap();
-        std::fs::set_permissions(&path, std::os::unix::fs::PermissionsExt::from_mode(0o600)).unwrap();
-        let told = denied(&path);
-        assert!(told.contains("(mode 0600)") && told.contains(&format!("chmod u+rw {}`", path.display())), "{told}");
-        // Where it cannot be looked at, the folder around it is in the way.
-        let told = denied(&path.join("deep/deeper"));
-        assert!(told.contains(&format!("{} belongs to", path.display())), "{told}");
+        let store = place.path();
+        std::fs::create_dir_all(store.join("segments")).unwrap();
+        std::fs::write(store.join("format"), "").unwrap();
+        for (name, mode, way) in
+            [("segments/a.seg", 0o200, "u+rw"), ("keys.lock", 0o400, "u+rw"), ("blob", 0o200, "u+r")]
+        {
+            let path = store.join(name);
+            std::fs::write(&path, "").unwrap();
+            std::fs::set_permissions(&path, std::os::unix::fs::PermissionsExt::from_mode(mode)).unwrap();
+            let (told, shown) = (denied(&path), path.display());
+            assert!(told.contains(&format!("(mode {mode:04o}), who opens it with `chmod {way} {shown}`")), "{told}");
+            assert!(told.contains("A store of several users"), "{told}");
+            // Where it cannot be looked at, what is around it is in the way.
+            let told = denied(&path.join("deep/deeper"));
+            assert!(told.contains(&format!("{shown} belongs to")), "{told}");
+        }
+        // Its mode is not why.
+        let told = denied(&store.join("segments"));
+        assert!(!told.contains("chmod") && !told.contains("ask them"), "{told}");
+    }
+
+    #[test]
+    fn a_file_of_another_user_is_opened_to_the_group_of_a_store_that_has_one() {
+        if !geteuid().is_root() {
+            println!("skipped: only root can give files to others");
+            return;
+        }
+        let place = tempfile::tempdir().unwrap();
+        let (store, group) = (place.path(), getegid().as_raw());
+        std::fs::write(store.join("format"), "").unwrap();
+        let give = |path: &Path, group: u32, mode: u32| {
+            std::os::unix::fs::chown(path, Some(1), Some(group)).unwrap();
+            std::fs::set_permissions(path, std::os::unix::fs::PermissionsExt::from_mode(mode)).unwrap();
+        };
+        let ask = "(mode 0600): ask them, or give another place";
+        for (name, what) in [("a.seg", "g+rw"), ("blob", "g+r")] {
+            let path = store.join(name);
+            std::fs::write(&path, "").unwrap();
+            for (root, group, expected) in [
+                (0o770, group, &*format!("`chmod {what} {}`", path.display())),
+                (0o700, group, ask),
+                (0o777, group + 1, ask),
+            ] {
+                give(store, group, root);
+                give(&path, group, 0o600);
+                let told = denied(&path);
+                assert!(told.contains(expected) && told.contains(" belongs to "), "{told}");
+            }
+        }
+        give(store, group, 0o700);
+        let told = denied(&store.join("live/x"));
+        assert!(told.contains("(mode 0700): ask them, or give another place"), "{told}");
+    }
+
+    #[test]
+    fn nobody_is_advised_to_open_what_is_in_no_store() {
+        let outside = denied(Path::new("/nowhere/at/all"));
+        assert!(!outside.contains("belongs to") && outside.contains("check that"), "{outside}");
+        for kind in [io::ErrorKind::PermissionDenied, io::ErrorKind::ReadOnlyFilesystem] {
+            let fault = StoreError::io("write into", Path::new("/nowhere/s/live"), kind.into());
+            let told = fault.or_read_only(Path::new("/nowhere/s")).to_string();
+            assert!(told.ends_with("give another one with `--store DIR`"), "{told}");
+        }
     }
 
     #[test]

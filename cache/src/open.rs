@@ -1,5 +1,6 @@
 //! Opening: the folders of a store, its format version, and the litter of processes that died.
 
+use std::ffi::OsStr;
 use std::fs;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -11,7 +12,7 @@ use crate::locks::sweep;
 use crate::machine::Machine;
 use crate::memory::{ANSWERS, TREES};
 use crate::plain;
-use crate::sharing::Sharing;
+use crate::sharing::{NEW, Sharing};
 
 /// What the format file says.
 const FORMAT: &str = "rockface store 1";
@@ -56,6 +57,12 @@ pub(crate) const LEASES: &str = "leases";
 const FOLDERS: [&str; 8] = [BLOBS, SEGMENTS, QUARANTINE, TMP, SCRATCH, LIVE, TREES, ANSWERS];
 /// The file that backup programs ask for.
 const TAG: &str = "CACHEDIR.TAG";
+
+/// Whether the root of a store has something of this name.
+pub(crate) fn is_own(name: &OsStr) -> bool {
+    let others = [WORKERS, LEASES, LOCKS, TAG, "format"];
+    FOLDERS.iter().chain(&others).any(|own| name == *own)
+}
 
 /// Whether `dir` is a store of this format.
 pub(crate) fn is_current(dir: &Path) -> bool {
@@ -113,6 +120,7 @@ pub(crate) fn prepare(dir: &Path, machine: &Machine) -> Result<(), StoreError> {
     sweep(&machine.folder(TMP), TEMPORARY_BLOB)?;
     crate::scratch::sweep(&machine.folder(SCRATCH))?;
     sweep_aged(dir, HALF_WRITTEN)?;
+    sweep_aged(&dir.join(BLOBS), NEW)?;
     sweep_aged(&dir.join(TREES), HALF_WRITTEN_TREE)?;
     crate::workers::sweep(dir, machine.name(), machine.is_shared);
     if machine.is_shared {
@@ -242,6 +250,21 @@ mod tests {
             let path = folder.path().join(name);
             let file = fs::File::create(&path).unwrap();
             file.set_modified(std::time::SystemTime::now() - Duration::from_secs(age_s)).unwrap();
+            prepare(folder.path()).unwrap();
+            assert_eq!(path.exists(), stays, "{name}");
+        }
+    }
+
+    #[test]
+    fn half_made_folders_go_when_they_are_old() {
+        let folder = tempfile::tempdir().unwrap();
+        prepare(folder.path()).unwrap();
+        for (name, age_s, stays) in [(".new-a", 7200, false), ("blobs/.new-a", 7200, false), ("blobs/.new-b", 60, true)]
+        {
+            let path = folder.path().join(name);
+            fs::create_dir(&path).unwrap();
+            let then = std::time::SystemTime::now() - Duration::from_secs(age_s);
+            fs::File::open(&path).unwrap().set_modified(then).unwrap();
             prepare(folder.path()).unwrap();
             assert_eq!(path.exists(), stays, "{name}");
         }

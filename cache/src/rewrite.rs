@@ -12,13 +12,15 @@ use crate::locks::Locked;
 use crate::segment::{Frame, claim, scan};
 use crate::{Digest, plain};
 
-/// Records and small blobs that leave, each with the stamp it had when that was decided: one written since stays.
+/// Records, small blobs and notes on run folders that leave, each with the stamp it had when that was decided: one written since stays.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(crate) struct Leaving {
     /// The stamps of records by key.
     pub records: BTreeMap<Digest, u64>,
     /// The stamps of small blobs by digest.
     pub blobs: BTreeMap<Digest, u64>,
+    /// The stamps of notes by the names they are kept under.
+    pub notes: BTreeMap<Digest, u64>,
 }
 
 impl Leaving {
@@ -27,6 +29,7 @@ impl Leaving {
         let stamps = match header.kind {
             Kind::Record => &self.records,
             Kind::Blob => &self.blobs,
+            Kind::Note => &self.notes,
             _ => return false,
         };
         stamps.get(&header.name) == Some(&header.stamp)
@@ -69,8 +72,9 @@ impl Journal {
         Ok(claimed)
     }
 
-    /// The keys of all records, superseded ones too, in the segments that stay as they are.
-    pub(crate) fn busy_records(&self, claimed: &Claimed) -> Result<BTreeSet<Digest>, StoreError> {
+    /// The names of all records and notes, superseded ones too, in the segments that stay as they are: such a one would count again if what
+    /// superseded it left.
+    pub(crate) fn busy_names(&self, claimed: &Claimed) -> Result<BTreeSet<Digest>, StoreError> {
         let mut keys = BTreeSet::new();
         for name in &claimed.busy {
             let path = self.path(name);
@@ -79,7 +83,8 @@ impl Journal {
                 file => file.at("open", &path)?,
             };
             let frames = scan(&file, 0).at("read", &path)?.frames;
-            keys.extend(frames.iter().filter(|one| one.header.kind == Kind::Record).map(|one| one.header.name));
+            let named = frames.iter().filter(|one| matches!(one.header.kind, Kind::Record | Kind::Note));
+            keys.extend(named.map(|one| one.header.name));
         }
         Ok(keys)
     }

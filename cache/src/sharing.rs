@@ -1,14 +1,16 @@
 //! Who may use what is new in a store: whom its root folder lets in, whatever the umask of the process that makes it.
 //!
 //! Files get the `rw` bits of the root for group and others, folders its `rwx` bits and its setgid bit. What cannot be given to the group
-//! of the root folder lets its own group do no more than all others, so nothing is open to anybody whom the root folder keeps out.
+//! of the root folder lets its own group do no more than all others, so nothing is open to anybody whom the root folder keeps out. With an
+//! access control list the bits of the group are those of its mask, which are taken over. What root makes belongs to the owner of the root folder.
 
 use std::fs::{self, DirBuilder, File, OpenOptions, Permissions};
 use std::io::{self, ErrorKind};
 use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt, PermissionsExt, fchown};
 use std::path::Path;
 
-use rustix::fs::OFlags;
+use rustix::fs::{OFlags, fgetxattr};
+use rustix::process::{getegid, geteuid};
 
 use crate::plain;
 
@@ -19,29 +21,32 @@ const FOLDER: u32 = 0o777;
 /// What is new in a folder belongs to the group of the folder.
 const SETGID: u32 = 0o2000;
 /// Starts the names of folders that have not got their mode yet.
-const NEW: &str = ".new-";
+pub(crate) const NEW: &str = ".new-";
+/// The attribute of files that have an access control list.
+const ACL: &str = "system.posix_acl_access";
 
-/// What the root folder of a store lets its group and all others do.
+/// Whose the root folder of a store is, and what it lets its group and all others do.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Sharing {
     mode: u32,
+    owner: u32,
     group: u32,
 }
 
 impl Sharing {
     /// That of the store, or of the folder in one, at `root`. One that cannot be looked at shares nothing.
     pub fn of(root: &Path) -> Self {
-        let own = Self { mode: 0o700, group: rustix::process::getegid().as_raw() };
-        fs::metadata(root).map_or(own, |meta| Self { mode: meta.mode(), group: meta.gid() })
+        let own = Self { mode: 0o700, owner: geteuid().as_raw(), group: getegid().as_raw() };
+        fs::metadata(root).map_or(own, |meta| Self { mode: meta.mode(), owner: meta.uid(), group: meta.gid() })
     }
 
     fn others(self) -> u32 {
         self.mode & 0o007
     }
 
-    /// The mode of something in the store that belongs to `group` and lets nobody do more than `most`.
-    fn mode(self, most: u32, group: u32) -> u32 {
-        let of_group = if group == self.group { self.mode & 0o070 } else { self.others() << 3 };
+    /// The mode of something in the store that lets nobody do more than `most`, and whose group, or mask, `is_same` as that of the root.
+    fn mode(self, most: u32, is_same: bool) -> u32 {
+        let of_group = if is_same { self.mode & 0o070 } else { self.others() << 3 };
         most & (0o700 | of_group | self.others())
     }
 
@@ -60,16 +65,22 @@ impl Sharing {
         self.mode & 0o022 != 0
     }
 
-    /// Gives a file that this process has made its group and its mode, `most` at most. File systems that know neither leave it as it is.
+    /// Gives a file that this process has made its owner, its group and its mode, `most` at most. File systems that know none of them leave
+    /// it as it is.
     pub fn give(self, file: &File, most: u32) -> io::Result<()> {
         let meta = file.metadata()?;
+        // What root makes in a private store would keep its owner out. A file with other names may be one from elsewhere.
+        let is_new = meta.uid() == geteuid().as_raw() && (meta.is_dir() || meta.nlink() <= 1);
+        if geteuid().is_root() && is_new && self.owner != meta.uid() {
+            let _ = fchown(file, Some(self.owner), None);
+        }
         let mut group = meta.gid();
         let matters = self.mode & 0o070 != self.others() << 3;
         if group != self.group && matters && fchown(file, None, Some(self.group)).is_ok() {
             group = self.group;
         }
         let setgid = if meta.is_dir() && group == self.group { self.mode & SETGID } else { 0 };
-        let mode = self.mode(most, group) | setgid;
+        let mode = self.mode(most, group == self.group || has_acl(file)) | setgid;
         if meta.mode() & 0o7777 == mode {
             return Ok(());
         }
@@ -130,6 +141,12 @@ impl Sharing {
     }
 }
 
+/// Whether the bits of a file's group are those of the mask of an access control list.
+fn has_acl(file: &File) -> bool {
+    let mut no_value: [u8; 0] = [];
+    fgetxattr(file, ACL, &mut no_value).is_ok()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -173,12 +190,62 @@ mod tests {
     #[test]
     fn what_has_another_group_lets_it_do_what_all_others_may() {
         for (root, file) in [(0o2770, 0o600), (0o2775, 0o644), (0o777, 0o666)] {
-            let sharing = Sharing { mode: root, group: 7 };
-            assert_eq!(sharing.mode(FILE, 8), file, "{root:o}");
-            assert_eq!(sharing.first(FILE) & !sharing.mode(FILE, 8), 0, "{root:o}");
-            assert_eq!(sharing.first(FILE) & !sharing.mode(FILE, 7), 0, "{root:o}");
+            let sharing = Sharing { mode: root, owner: 7, group: 7 };
+            assert_eq!(sharing.mode(FILE, false), file, "{root:o}");
+            assert_eq!(sharing.first(FILE) & !sharing.mode(FILE, false), 0, "{root:o}");
+            assert_eq!(sharing.first(FILE) & !sharing.mode(FILE, true), 0, "{root:o}");
         }
         assert_eq!(Sharing::of(Path::new("/nowhere/at/all")).first(FOLDER), 0o700);
+    }
+
+    #[test]
+    fn what_root_makes_belongs_to_the_owner_of_the_store() {
+        if !geteuid().is_root() {
+            println!("skipped: only root can give files to others");
+            return;
+        }
+        let place = tempfile::tempdir().unwrap();
+        fs::set_permissions(place.path(), Permissions::from_mode(0o700)).unwrap();
+        std::os::unix::fs::chown(place.path(), Some(1), Some(1)).unwrap();
+        let sharing = Sharing::of(place.path());
+        sharing.folder(&place.path().join("folder")).unwrap();
+        let file = sharing.open_or_make(&place.path().join("file")).unwrap();
+        let owner = |name: &str| fs::metadata(place.path().join(name)).unwrap().uid();
+        assert_eq!((owner("file"), owner("folder"), mode(&place.path().join("file"))), (1, 1, 0o600));
+        // One that has another name may be from elsewhere.
+        std::os::unix::fs::chown(place.path().join("file"), Some(0), None).unwrap();
+        fs::hard_link(place.path().join("file"), place.path().join("other")).unwrap();
+        sharing.give(&file, FILE).unwrap();
+        assert_eq!(owner("file"), 0);
+    }
+
+    #[test]
+    fn the_mask_of_an_access_control_list_is_that_of_the_root() {
+        let place = tempfile::tempdir().unwrap();
+        fs::set_permissions(place.path(), Permissions::from_mode(0o700)).unwrap();
+        // The owner and group 2000 may do all, the group and all others nothing.
+        let entries: [(u16, u16, u32); 5] =
+            [(1, 7, u32::MAX), (4, 0, u32::MAX), (8, 7, 2000), (16, 7, u32::MAX), (32, 0, u32::MAX)];
+        let entry = |(tag, may, id): (u16, u16, u32)| {
+            [&tag.to_le_bytes()[..], &may.to_le_bytes()[..], &id.to_le_bytes()[..]].concat()
+        };
+        let list = [2_u32.to_le_bytes().to_vec(), entries.into_iter().flat_map(entry).collect()].concat();
+        for name in [ACL, "system.posix_acl_default"] {
+            if let Err(fault) = rustix::fs::setxattr(place.path(), name, &list, rustix::fs::XattrFlags::empty()) {
+                println!("skipped: this file system has no access control lists ({fault})");
+                return;
+            }
+        }
+        assert_eq!(mode(place.path()), 0o770);
+        // A group that no file here has, nor can be given.
+        let sharing = Sharing { group: u32::MAX - 1, ..Sharing::of(place.path()) };
+        let file = File::create(place.path().join("file")).unwrap();
+        assert!(has_acl(&file));
+        file.set_permissions(Permissions::from_mode(0o600)).unwrap();
+        sharing.give(&file, FILE).unwrap();
+        assert_eq!(mode(&place.path().join("file")), 0o660);
+        rustix::fs::fremovexattr(&file, ACL).unwrap();
+        assert!(!has_acl(&file));
     }
 
     #[test]

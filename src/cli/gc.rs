@@ -141,8 +141,10 @@ impl GcArgs {
             policy.pinned.extend(live.keys);
             policy.grace_s = policy.grace_s.max(now_s().saturating_sub(since_s) + 1);
         }
-        let mut kept = Kept { policy, store, must_know: self.removes_records(), notes: store.memory().noted_folders() };
+        let (must_know, is_dry) = (self.removes_records(), self.dry_run);
+        let mut kept = Kept { policy, store, must_know, is_dry, notes: store.memory().noted_folders() };
         kept.count_all(&self.places.runs_of(store))?;
+        kept.forget(now_s());
         Ok(kept.policy)
     }
 }
@@ -152,7 +154,7 @@ fn told(done: &Collected) -> String {
     let mut told = format!("removed {} records and {} blobs, {} freed", done.records, done.blobs, bytes(done.bytes));
     if done.busy_segments > 0 {
         told += &format!(
-            "; {} segments are being written to, or may not be by you, and were left as they are",
+            "; {} segments were left as they are: another process writes to them, or you may not",
             done.busy_segments
         );
     }

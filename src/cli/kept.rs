@@ -6,8 +6,12 @@ use std::path::{Path, PathBuf};
 
 use rockface_cache::{Digest, GcPolicy, RunNote, Store};
 
+use super::submit::quoted;
 use super::{CliError, complain};
 use rockface_engine::history::{self, HistoryError, PastRun};
+
+/// Notes on runs that finished less long ago are kept, seconds: 30 days.
+const REMEMBERED_S: u64 = 30 * 86_400;
 
 /// A policy that comes to know the runs.
 pub struct Kept<'s> {
@@ -17,6 +21,8 @@ pub struct Kept<'s> {
     pub store: &'s Store,
     /// Whether what runs name decides what goes: a run that nothing is known of stops the collection then.
     pub must_know: bool,
+    /// Whether nothing is to be written.
+    pub is_dry: bool,
     /// What the store remembers of run folders.
     pub notes: Vec<RunNote>,
 }
@@ -27,7 +33,7 @@ impl Kept<'_> {
         let folders = self.folders(places)?;
         for folder in &folders {
             match PastRun::open(folder) {
-                Ok(run) => self.count(&run),
+                Ok(run) => self.count(&run)?,
                 Err(fault @ HistoryError::Manifest { .. }) => self.count_torn(folder, &fault)?,
                 Err(fault) => self.count_unread(folder, fault)?,
             }
@@ -38,6 +44,16 @@ impl Kept<'_> {
             self.count_gone(note, &folders);
         }
         Ok(())
+    }
+
+    /// Lets the notes on run folders leave that are of no use any more: those on folders that are gone, of runs that are not pinned and
+    /// finished long ago, where nothing that they name stays for their sake.
+    pub fn forget(&mut self, now_s: u64) {
+        let is_old = |note: &RunNote| now_s.saturating_sub(note.finished_unix_s) > REMEMBERED_S;
+        let is_useless = |note: &RunNote| self.policy.unnamed || !note.names_any(self.store);
+        let is_past =
+            |note: &&RunNote| !note.pinned && is_old(note) && !history::may_be_run(&note.folder) && is_useless(note);
+        self.policy.forgotten = self.notes.iter().filter(is_past).cloned().collect();
     }
 
     /// All run folders that are there.
@@ -63,8 +79,16 @@ impl Kept<'_> {
         self.notes.iter().find(|note| note.folder == folder)
     }
 
-    fn count(&mut self, run: &PastRun) {
-        self.use_keys(run.keys().collect(), run.finished_unix_s(), run.pinned);
+    fn count(&mut self, run: &PastRun) -> Result<(), CliError> {
+        let keys: Vec<Digest> = run.keys().collect();
+        let is_noted = !run.pinned || self.note(&run.folder).is_some_and(|note| note.pinned);
+        if !is_noted && !self.is_dry && keys.iter().any(|key| self.store.has_record(key)) {
+            // Pinned by a version that knew no notes: the pin is to outlast the folder.
+            self.store.memory().note_folder(&run.note(&run.folder))?;
+            self.store.sync()?;
+        }
+        self.use_keys(keys, run.finished_unix_s(), run.pinned);
+        Ok(())
     }
 
     /// Marks what a damaged manifest still references as used: its run may still be wanted.
@@ -77,7 +101,7 @@ impl Kept<'_> {
         self.use_keys(noted.unwrap_or_default(), written_s, pinned);
         self.policy.torn_s = self.policy.torn_s.max(Some(written_s));
         let way = "run its pipeline again to write it anew, or remove the folder";
-        let used = format!("the {count} records that can still be read in it count as used by this run");
+        let used = format!("what can still be read in it ({}) counts as used by this run", records(count));
         let rest = "any other that was made before it may be, so `--unnamed` does not remove it";
         complain(&format!("warning: {fault}; {used}; {rest}: {way}"));
         Ok(())
@@ -91,7 +115,7 @@ impl Kept<'_> {
                 // Whether it is pinned cannot be seen.
                 self.use_keys(keys, finished_s, true);
                 if self.must_know {
-                    complain(&format!("warning: {fault}; the {count} records that this run names are kept"));
+                    complain(&format!("warning: {fault}; what this run names ({}) is kept", records(count)));
                 }
             }
             None if self.must_know => return Err(fault.into()),
@@ -112,13 +136,13 @@ impl Kept<'_> {
         if folders.iter().any(is_moved) {
             return;
         }
-        let (folder, store) = (note.folder.display(), self.store.dir().display());
         let why = "it was removed or moved, or its disk is not mounted";
-        let way = format!(
-            "pin it again where it is now, or remove the pin with `rockface runs unpin {folder} --store {store}`"
-        );
+        let named = |path: &Path| quoted(&path.to_string_lossy());
+        let command = format!("rockface runs unpin {} --store {}", named(&note.folder), named(self.store.dir()));
+        let (folder, records) = (note.folder.display(), records(count));
         complain(&format!(
-            "warning: the folder of the pinned run {folder} is not there ({why}); the {count} records that it names are kept: {way}"
+            "warning: the folder of the pinned run {folder} is not there ({why}); what it names ({records}) is kept: pin it again where it is \
+             now, or remove the pin with `{command}`"
         ));
     }
 
@@ -131,4 +155,8 @@ impl Kept<'_> {
             self.policy.pinned.extend(keys);
         }
     }
+}
+
+fn records(count: usize) -> String {
+    format!("{count} record{}", if count == 1 { "" } else { "s" })
 }

@@ -173,7 +173,21 @@ impl Places {
         Ok(None)
     }
 
-    /// The same, which must be there.
+    /// The store given if it has something of the run, or else the first of the others that has; `None` where there is none.
+    pub fn store_with(&self, run: &PastRun) -> Result<Option<Store>, CliError> {
+        let given = self.given_store().filter(|store| may_be_store(store)).map(|store| Store::open(&store));
+        let fault = match given {
+            Some(Ok(store)) if has_some_of(&store, run) => return Ok(Some(store)),
+            Some(Err(fault)) => Some(fault),
+            _ => None,
+        };
+        match (Self::default().store_beside(run)?, fault) {
+            (None, Some(fault)) => Err(fault.into()),
+            (found, _) => Ok(found),
+        }
+    }
+
+    /// As [`Places::store_beside`], which must be there.
     pub fn store_of(&self, run: &PastRun) -> Result<Store, CliError> {
         if self.is_store_given() {
             return self.open_store();

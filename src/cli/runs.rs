@@ -285,18 +285,22 @@ fn pin(places: &Places, name: &str, pinned: bool) -> Result<(), CliError> {
 
 /// Notes in the store of a run whether it is pinned; says why it could not.
 fn tell_store(places: &Places, run: &PastRun) -> Result<(), String> {
-    let store = places.store_beside(run).map_err(|fault| fault.to_string())?;
+    let store = places.store_with(run).map_err(|fault| fault.to_string())?;
     let way = "give it with --store";
     let store = store.ok_or_else(|| format!("the store with the results of {} was not found ({way})", run.name))?;
     let memory = store.memory();
     let note = run.note(&run.folder);
     let told = || -> Result<bool, StoreError> {
-        // Where it was before, it is no more.
-        let is_former = |old: &RunNote| old.pinned && old.folder != note.folder && old.is_of_run(&note);
+        // Where it was before, it is no more; and a folder with two paths has one note on its pin.
+        let real = |folder: &Path| folder.canonicalize().ok();
+        let here = real(&note.folder);
+        let is_former = |old: &RunNote| {
+            let is_here = || here.is_some() && real(&old.folder) == here;
+            let was_moved = || old.is_of_run(&note) && !history::may_be_run(&old.folder);
+            old.pinned && old.folder != note.folder && (is_here() || was_moved())
+        };
         for old in memory.noted_folders().into_iter().filter(is_former) {
-            if !history::may_be_run(&old.folder) {
-                memory.note_folder(&old.with_pin(false))?;
-            }
+            memory.note_folder(&old.with_pin(false))?;
         }
         let is_noted = memory.note_folder(&note)?;
         store.sync()?;

@@ -161,7 +161,7 @@ fn roles(is_first: &str, of_run: &[String], arguments: &[String]) -> Result<Stri
 }
 
 /// A word as a shell reads it back.
-fn quoted(word: &str) -> String {
+pub(super) fn quoted(word: &str) -> String {
     let is_plain = |letter: char| letter.is_ascii_alphanumeric() || "-_./=:,+%@".contains(letter);
     if !word.is_empty() && word.chars().all(is_plain) {
         word.to_owned()

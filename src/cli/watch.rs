@@ -12,7 +12,7 @@ use rockface_engine::watch::{Report, Role, duration, printable};
 use serde_json::json;
 
 use super::places::{Places, may_be_store};
-use super::{CliError, beside, say};
+use super::{CliError, beside, complain, say};
 
 /// How long it takes at least until the next look, seconds.
 const LEAST_INTERVAL_S: f64 = 0.1;
@@ -57,19 +57,26 @@ impl WatchArgs {
     pub fn run(self) -> Result<(), CliError> {
         let pipeline = Path::new(&self.what);
         let store = self.places.given_store().unwrap_or_else(|| beside(pipeline).join("store"));
-        let before = self.places.find(&self.what).map(|run| run.folder).ok();
-        if !may_be_store(&store) {
-            // A past run is told of without its store.
-            let past = if pipeline.is_file() || self.places.given_store().is_some() {
-                None
-            } else {
-                Some(self.places.find(&self.what)?)
-            };
-            let way = "give its folder with --store, or wait until a process has begun";
-            let none = || CliError::Usage(format!("there is no store in {}: {way}", store.display()));
-            return past.ok_or_else(none).and_then(|run| self.past(&run));
+        let is_manifest = pipeline.ends_with("run.json");
+        let is_file = pipeline.is_file() && !is_manifest;
+        let before = match self.places.find(&self.what) {
+            // A past run is told of without the store.
+            Ok(run) if !is_file && run.manifest.pipeline.name != self.what => return self.past(&run),
+            Err(fault) if is_manifest => return Err(fault),
+            before => before,
+        };
+        let is_there = may_be_store(&store);
+        if !is_there && !is_file && self.places.given_store().is_none() {
+            return before.and_then(|run| self.past(&run));
         }
-        let mut state = State::of(&store, pipeline)?;
+        let before = before.ok();
+        let ended = before.as_ref().map(|run| format!("the last run of it here {}", ended(run)));
+        if !is_there {
+            let way = "give its folder with --store, or wait until a process has begun";
+            let ended = ended.map_or_else(String::new, |ended| format!("; {ended}"));
+            return Err(CliError::Usage(format!("there is no store in {}: {way}{ended}", store.display())));
+        }
+        let mut state = State::of(&store, pipeline).inspect_err(|_| ended.iter().for_each(|ended| complain(ended)))?;
         if state.is_over() {
             return self.nobody(&state);
         }
@@ -81,7 +88,7 @@ impl WatchArgs {
             std::thread::sleep(Duration::from_secs_f64(self.interval));
             let next = State::of(&store, pipeline)?;
             if next.is_over() {
-                return self.end(&state, before.as_deref());
+                return self.end(&state, before.as_ref().map(|run| run.folder.as_path()));
             }
             lines = self.show(&next, Some(&state), lines);
             state = next;
@@ -143,19 +150,28 @@ impl WatchArgs {
 
     /// The end of a past run.
     fn past(&self, run: &PastRun) -> Result<(), CliError> {
-        let status = |wanted: &str| run.manifest.steps.iter().filter(|step| step.status == wanted).count();
-        let (executed, cached, failed) = (status("executed"), status("cached"), status("failed"));
+        let [executed, cached, failed] = counts(run);
         if self.json {
             let folder = &run.folder;
             say(&json!({"folder": folder, "executed": executed, "cached": cached, "failed": failed}).to_string());
         } else {
-            let (folder, finished) = (run.folder.display(), &run.manifest.finished);
-            say(&format!(
-                "nobody works on it; the last run ended {finished}: ran {executed}, cached {cached}, failed {failed}; results in {folder}"
-            ));
+            say(&format!("nobody works on it; the last run {}", ended(run)));
         }
         if failed == 0 { Ok(()) } else { Err(CliError::Failed) }
     }
+}
+
+/// How many steps of a past run ran, were cached and failed.
+fn counts(run: &PastRun) -> [usize; 3] {
+    ["executed", "cached", "failed"]
+        .map(|wanted| run.manifest.steps.iter().filter(|step| step.status == wanted).count())
+}
+
+/// When and how a past run ended, behind its name.
+fn ended(run: &PastRun) -> String {
+    let ([executed, cached, failed], folder) = (counts(run), run.folder.display());
+    let finished = &run.manifest.finished;
+    format!("ended {finished}: ran {executed}, cached {cached}, failed {failed}; results in {folder}")
 }
 
 impl State {

@@ -236,9 +236,14 @@ fn an_entry_of_a_map_that_nothing_mentions_is_a_fault() {
     let yaml = "rockface: 1\nparams: {m: {length: 1, lenght: 2}, whole: {a: 1}, none: {}}\nsteps:\n  a: {stage: emit, with: {value: '${m.length}'}}\n";
     let (said, count) = faults_of(yaml);
     assert!(said.contains("nothing mentions the entry `lenght` of parameter `m`"), "{said}");
-    assert!(said.contains("did you mean `length`?"), "{said}");
+    assert!(said.contains("write ${m.lenght} in a `with`, or remove it") && !said.contains("did you mean"), "{said}");
     // `whole` and `none` are mentioned by nothing at all.
     assert_eq!(count, 3, "{said}");
+    // An entry that the command line adds may be meant to be another.
+    let yaml = "rockface: 1\nparams: {m: {length: 1}}\nsteps: {a: {stage: emit, with: {value: '${m.length}'}}}\n";
+    let said =
+        Bench::new().plan(yaml, &["params.m.lenght=2"]).err().map(|faults| faults.to_string()).unwrap_or_default();
+    assert!(said.contains("did you mean `length`? else write ${m.lenght} in a `with`"), "{said}");
 }
 
 #[test]

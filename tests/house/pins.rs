@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use rockface_cache::Store;
+use rockface_cache::{RunNote, Store};
 use serde_json::Value;
 
 use crate::cli::{House, SMALL};
@@ -154,4 +154,82 @@ fn what_a_run_names_whose_folder_may_not_be_read_is_kept() {
     assert!(code == Some(3) && err.contains("others/runs/one/run.json"), "{err}");
     let (code, out, err) = gc(&[]);
     assert!(code == Some(0) && out.starts_with("removed 0 records") && err.contains("others/runs/one"), "{out}{err}");
+}
+
+#[test]
+fn a_run_folder_with_two_paths_has_one_pin() {
+    let house = aged(SMALL);
+    let folder = run(&house, 0);
+    std::os::unix::fs::symlink(house.path("elsewhere").canonicalize().unwrap(), house.path("other")).unwrap();
+    let beside = house.path("other/runs").join(folder.file_name().unwrap());
+    pin(&house, "pin", &folder);
+    pin(&house, "unpin", &beside);
+    fs::remove_dir_all(&folder).unwrap();
+    assert_eq!(unnamed(&house), (2, String::new()));
+}
+
+#[test]
+fn a_pin_is_noted_where_results_of_the_run_are() {
+    let house = aged(SMALL);
+    let folder = run(&house, 0);
+    drop(Store::open(&house.path("empty")).unwrap());
+    let noted = |store: &str| Store::open(&house.path(store)).unwrap().memory().noted_folder(&folder);
+    let (code, out, err) = house.rockface(&["runs", "pin", folder.to_str().unwrap(), "--store", "empty"]);
+    assert!(code == Some(0) && err.is_empty(), "{out}{err}");
+    assert!(noted("empty").is_none() && noted("shared").unwrap().pinned);
+    fs::remove_dir_all(house.path("shared")).unwrap();
+    let (code, _, err) = house.rockface(&["runs", "pin", folder.to_str().unwrap(), "--store", "empty"]);
+    assert!(code == Some(0) && err.contains("was not found"), "{err}");
+}
+
+#[test]
+fn a_pin_that_no_note_tells_of_is_noted_by_a_collection() {
+    let house = aged(SMALL);
+    let folder = run(&house, 0);
+    fs::write(folder.join("pinned"), "").unwrap();
+    let is_noted = || Store::open(&house.path("shared")).unwrap().memory().noted_folder(&folder).unwrap().pinned;
+    assert_eq!(unnamed(&house), (0, String::new()));
+    assert!(!is_noted(), "a dry run changes nothing");
+    let (code, out, err) = house.rockface(&["store", "gc", "--store", "shared", "--unnamed"]);
+    assert!(code == Some(0) && out.starts_with("removed 0 records"), "{out}{err}");
+    assert!(is_noted());
+    fs::remove_dir_all(&folder).unwrap();
+    assert_eq!(unnamed(&house).0, 0);
+}
+
+#[test]
+fn old_notes_on_folders_that_are_gone_leave_with_a_collection() {
+    let house = aged(SMALL);
+    let store = Store::open(&house.path("shared")).unwrap();
+    let (key, day) = (store.keys()[0], 86_400);
+    let now = std::time::UNIX_EPOCH.elapsed().unwrap().as_secs();
+    for (name, keys, days, pinned) in [
+        ("/gone/old", vec![], 40, false),
+        ("/gone/named", vec![key], 40, false),
+        ("/gone/pinned", vec![], 40, true),
+        ("/gone/young", vec![], 20, false),
+    ] {
+        let note = RunNote::new(Path::new(name), keys, now - days * day, pinned);
+        assert!(store.memory().note_folder(&note).unwrap());
+    }
+    let there = house.path("there").canonicalize().unwrap_or_else(|_| house.path("there"));
+    fs::create_dir_all(&there).unwrap();
+    fs::write(there.join("run.json"), "{").unwrap();
+    store.memory().note_folder(&RunNote::new(&there, [], now - 40 * day, false)).unwrap();
+    drop(store);
+    let noted = || -> Vec<String> {
+        let notes = Store::open(&house.path("shared")).unwrap().memory().noted_folders();
+        notes.iter().map(|note| note.folder.file_name().unwrap().to_str().unwrap().to_owned()).collect()
+    };
+    let gc = |more: &[&str]| {
+        let (code, _, err) = house.rockface(&[&["store", "gc", "--store", "shared"], more].concat());
+        assert_eq!(code, Some(0), "{err}");
+    };
+    gc(&["--dry-run"]);
+    assert_eq!(noted().len(), 5);
+    gc(&[]);
+    assert_eq!(noted(), ["named", "pinned", "young", "there"]);
+    // What only it names leaves too.
+    gc(&["--unnamed"]);
+    assert_eq!(noted(), ["pinned", "young", "there"]);
 }

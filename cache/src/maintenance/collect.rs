@@ -89,8 +89,9 @@ impl Store {
     /// What is to leave of the claimed segments.
     fn claimed_leaving(&self, plan: &GcPlan, claimed: &Claimed) -> Result<Leaving, StoreError> {
         let mut leaving = plan.leaving.clone();
-        let busy = self.journal().busy_records(claimed)?;
+        let busy = self.journal().busy_names(claimed)?;
         leaving.records.retain(|key, _| !busy.contains(key));
+        leaving.notes.retain(|name, _| !busy.contains(name));
         Ok(leaving)
     }
 

@@ -5,6 +5,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use crate::error::StoreError;
 use crate::frame::Kind;
+use crate::memory::RunNote;
 use crate::rewrite::Leaving;
 use crate::{Digest, Store};
 
@@ -27,6 +28,8 @@ pub struct GcPolicy {
     /// What was made, put or used less long ago is kept, seconds: a run may be about to name it. Beside live runs, an hour
     /// at least.
     pub grace_s: u64,
+    /// Notes on run folders that leave, unless they were written anew meanwhile.
+    pub forgotten: Vec<RunNote>,
 }
 
 /// A blob that would be removed.
@@ -95,7 +98,7 @@ impl Store {
             noted: self.noted(),
         };
         plan.blobs.extend(self.orphans(&candidates, since_s)?);
-        plan.leaving = self.as_it_is(&plan);
+        plan.leaving = Leaving { notes: self.stamps_of(&policy.forgotten), ..self.as_it_is(&plan) };
         Ok(plan)
     }
 
@@ -112,7 +115,19 @@ impl Store {
         self.journal().with_index(|index| Leaving {
             records: plan.records.iter().filter_map(|key| Some((*key, index.stamp(Kind::Record, key)?))).collect(),
             blobs: plan.blobs.iter().filter_map(|item| Some((item.digest, index.blob(&item.digest)?.stamp))).collect(),
+            notes: BTreeMap::new(),
         })
+    }
+
+    /// The stamps of those notes that are the latest on their folders.
+    fn stamps_of(&self, notes: &[RunNote]) -> BTreeMap<Digest, u64> {
+        let stamp = |note: &RunNote| {
+            let name = note.name();
+            let stamp = self.journal().with_index(|index| index.stamp(Kind::Note, &name))?;
+            // Not before: one that is written in between is another.
+            (self.memory().noted_folder(&note.folder).as_ref() == Some(note)).then_some((name, stamp))
+        };
+        notes.iter().filter_map(stamp).collect()
     }
 
     /// Every record, the longest unused first.

@@ -45,6 +45,16 @@ impl RunNote {
         store.keys().into_iter().filter(|key| self.names.contains(&beginning(key))).collect()
     }
 
+    /// Under which name it is kept.
+    pub(crate) fn name(&self) -> Digest {
+        name_of(&self.folder)
+    }
+
+    /// Whether the store has a record that the run names.
+    pub fn names_any(&self, store: &Store) -> bool {
+        store.keys().iter().any(|key| self.names.contains(&beginning(key)))
+    }
+
     /// Whether it is a note on the same run, wherever its folder was: one of the same name that names the same keys.
     pub fn is_of_run(&self, other: &Self) -> bool {
         self.folder.file_name() == other.folder.file_name() && self.names == other.names
@@ -60,7 +70,7 @@ impl RunNote {
     }
 
     fn decode(note: &Value) -> Option<Self> {
-        let folder = PathBuf::from(note.get("folder")?.as_str()?);
+        let folder = Some(PathBuf::from(note.get("folder")?.as_str()?)).filter(|folder| folder.is_absolute())?;
         let names = note.get("names")?.as_str()?.as_bytes().chunks(DIGITS);
         let names = names.map(|digits| u64::from_str_radix(std::str::from_utf8(digits).ok()?, 16).ok());
         let (finished_unix_s, pinned) = (note.get("finished")?.as_u64()?, note.get("pinned")?.as_bool()?);
@@ -141,7 +151,8 @@ mod tests {
         let store = Store::open(&place.path().join("store")).unwrap();
         let folder: &std::ffi::OsStr = std::os::unix::ffi::OsStrExt::from_bytes(b"/r/\xff");
         assert!(!store.memory().note_folder(&RunNote::new(Path::new(folder), [], 7, true)).unwrap());
-        for text in [r#"{"folder": "/r", "names": "xyz"}"#, r#"{"folder": "/r"}"#, "[]", "7"] {
+        let relative = r#"{"folder": "r", "finished": 7, "pinned": true, "names": ""}"#;
+        for text in [r#"{"folder": "/r", "names": "xyz"}"#, r#"{"folder": "/r"}"#, "[]", "7", relative] {
             assert_eq!(RunNote::decode(&serde_json::from_str(text).unwrap()), None, "{text}");
         }
         let foreign = RunNote::new(Path::new("/r/1"), [], 7, true).encode().unwrap();

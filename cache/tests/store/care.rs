@@ -383,3 +383,31 @@ fn a_blob_that_left_after_it_was_put_is_put_again() {
     let never = store.parcel().commit_or(&record, || -> Result<(), StoreError> { panic!("all is there") });
     assert_eq!(never.unwrap(), key);
 }
+
+#[test]
+fn a_collection_by_root_leaves_all_files_to_the_owner_of_the_store() {
+    if !rustix::process::geteuid().is_root() {
+        println!("skipped: only root can give files to others");
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path();
+    fs::set_permissions(root, std::os::unix::fs::PermissionsExt::from_mode(0o700)).unwrap();
+    std::os::unix::fs::chown(root, Some(1), Some(1)).unwrap();
+    let store = Store::open(root).unwrap();
+    let kept = [finish(&store, 0, b"small"), finish(&store, 1, &large(1))];
+    drop(store);
+    let store = Store::open(root).unwrap();
+    let policy = GcPolicy { pinned: kept.into(), ..at_once() };
+    store.collect(&store.plan_gc(&policy).unwrap()).unwrap();
+    let mut folders = vec![root.to_owned()];
+    let mut files = 0;
+    while let Some(folder) = folders.pop() {
+        for entry in fs::read_dir(folder).unwrap() {
+            let (path, meta) = entry.map(|entry| (entry.path(), entry.metadata().unwrap())).unwrap();
+            assert_eq!(std::os::unix::fs::MetadataExt::uid(&meta), 1, "{}", path.display());
+            if meta.is_dir() { folders.push(path) } else { files += 1 }
+        }
+    }
+    assert!(files > 3, "{files}");
+}

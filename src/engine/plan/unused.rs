@@ -75,9 +75,37 @@ impl Resolver<'_> {
             self.is_set(name).then(|| fault.hint(hint))
         };
         let entries = document.params.iter().filter(|(key, _)| bases.contains(key.name.as_str()));
-        let entries =
-            entries.flat_map(|(key, node)| unused_entries(&key.name, node, &used, &document.written_mentions));
+        let entries = entries.flat_map(|(key, node)| self.unused_entries(&key.name, node, &used));
         unused.filter_map(told).chain(entries).collect()
+    }
+
+    /// Of a map that is mentioned by single entries only: those that nothing mentions, not even what values of the command line took the place
+    /// of. Such an entry is most often a misspelt one.
+    fn unused_entries(&self, name: &str, node: &Node, used: &BTreeSet<&str>) -> Vec<Diagnostic> {
+        if used.contains(name) {
+            return Vec::new();
+        }
+        let Some(entries) = node.entries() else { return Vec::new() };
+        let read: Vec<&str> =
+            used.iter().map(|used| parted(used)).filter(|used| used.0 == name).filter_map(|used| used.1).collect();
+        if read.iter().any(|field| node.get(field).is_none()) {
+            // That is a fault of its own, and this one may follow from it.
+            return Vec::new();
+        }
+        let written = &self.document().written_mentions;
+        let is_unused = |key: &str| !read.contains(&key) && !written.contains(&format!("{name}.{key}"));
+        let unused = entries.iter().filter(|(key, _)| is_unused(&key.name));
+        let told = |(key, _): &(Key, Node)| {
+            let fault =
+                Diagnostic::at(key.span, format!("nothing mentions the entry `{}` of parameter `{name}`", key.name));
+            // All that is mentioned is in the map, so an entry of the file stands beside the one it is like. One of the command line was
+            // added to the map, and may be meant to take the place of another.
+            let is_set = self.sources.get(key.span.source).is_some_and(|source| source.name == "--set");
+            let near = is_set.then(|| nearest(&key.name, &read)).flatten();
+            let near = near.map_or_else(String::new, |near| format!("did you mean `{near}`? else "));
+            fault.hint(format!("{near}write ${{{name}.{}}} in a `with`, or remove it", key.name))
+        };
+        unused.map(told).collect()
     }
 }
 
@@ -101,29 +129,4 @@ fn way_out(axis: &Axis, is_swept: bool) -> String {
         "mention ${{{name}}} in a `with`, or remove it; {draws}, declare it as `{{count: 3}}` or with `reseeds: true`, and say `over: [{name}]` on the step \
          where it begins"
     )
-}
-
-/// Of a map that is mentioned by single entries only: those that nothing mentions, not even what values of the command line took the place of
-/// (`written`). Such an entry is most often a misspelt one.
-fn unused_entries(name: &str, node: &Node, used: &BTreeSet<&str>, written: &BTreeSet<String>) -> Vec<Diagnostic> {
-    if used.contains(name) {
-        return Vec::new();
-    }
-    let Some(entries) = node.entries() else { return Vec::new() };
-    let read: Vec<&str> = used.iter().filter_map(|used| parted(used).1.filter(|_| parted(used).0 == name)).collect();
-    if read.iter().any(|field| node.get(field).is_none()) {
-        // That is a fault of its own, and this one may follow from it.
-        return Vec::new();
-    }
-    let is_unused = |key: &str| !read.contains(&key) && !written.contains(&format!("{name}.{key}"));
-    let unused = entries.iter().filter(|(key, _)| is_unused(&key.name));
-    let told = |(key, _): &(Key, Node)| {
-        let fault =
-            Diagnostic::at(key.span, format!("nothing mentions the entry `{}` of parameter `{name}`", key.name));
-        match nearest(&key.name, &read) {
-            Some(near) => fault.hint(format!("did you mean `{near}`?")),
-            None => fault.hint(format!("write ${{{name}.{}}} in a `with`, or remove it", key.name)),
-        }
-    };
-    unused.map(told).collect()
 }
