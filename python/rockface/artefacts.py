@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from difflib import get_close_matches
 from enum import Enum
-from typing import Any
+from typing import Any, TypeVar, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,8 +47,12 @@ __all__ = [
 Array = NDArray[Any]
 Cell = float | str | bool | None
 
+T = TypeVar("T")
+
 SHOWN_FILES = 5
 """Files that the text of several names."""
+SEARCHED_NAMES = 1000
+"""Names among which an error looks for those that are spelt nearly so, at most: of 20 000 that takes more than a second."""
 
 
 class Frame(str, Enum):
@@ -137,7 +141,7 @@ def unmasked(values: Any) -> Array:
 def _lacking(what: str, name: object, known: Iterable[str]) -> KeyError:
     """That there is no such thing, and what there is."""
     names = list(known)
-    near = get_close_matches(str(name), names, 3, 0.6)
+    near = get_close_matches(str(name), names, 3, 0.6) if len(names) <= SEARCHED_NAMES else []
     listed = ", ".join(near or names[:8]) + (", …" if not near and len(names) > 8 else "")
     return KeyError(f"no {what} `{name}`; there are {listed}" if names else f"no {what} `{name}`; there are none")
 
@@ -804,6 +808,20 @@ class Files(Mapping[str, bytes]):
         if name not in self.files:
             raise _lacking("file", name, self.files)
         return self.files[name]
+
+    # Those of `Mapping` make an error with near names of each miss.
+    def __contains__(self, name: object) -> bool:
+        return name in self.files
+
+    @overload
+    def get(self, name: str, /) -> bytes | None: ...
+    @overload
+    def get(self, name: str, /, default: bytes) -> bytes: ...
+    @overload
+    def get(self, name: str, /, default: T) -> bytes | T: ...
+    def get(self, name: str, /, default: Any = None) -> Any:
+        """The bytes of a file; the default where there is none of this name."""
+        return self.files.get(name, default)
 
     def __repr__(self) -> str:
         first = [f"{name}: {len(data)} bytes" for name, data in itertools.islice(self.files.items(), SHOWN_FILES)]

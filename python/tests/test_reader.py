@@ -221,13 +221,32 @@ def test_what_is_not_there_is_told_with_what_is(small):
     ]:
         with pytest.raises(KeyError, match=told):
             look()
-    assert rockface.Files({"a": b"1"}).get("b") is None
+    files = rockface.Files({"a": b"1"})
+    assert (files.get("a"), files.get("b"), files.get("b", b"2"), files.get("b", 3)) == (b"1", None, b"2", 3)
+    assert "a" in files
+    assert "b" not in files
+    assert 1 not in files
 
 
 def test_many_files_have_a_short_text():
     files = rockface.Files({f"tiles/{number}.npz": b"12" for number in range(2000)})
     assert repr(files).startswith("Files(tiles/0.npz: 2 bytes, tiles/1.npz: 2 bytes")
     assert repr(files).endswith("… and 1995 more, 4000 bytes in all)")
+
+
+def test_a_miss_among_many_names_is_not_searched_for_near_ones(monkeypatch):
+    def never(*_):
+        raise AssertionError("a search")
+
+    monkeypatch.setattr("rockface.artefacts.get_close_matches", never)
+    many = rockface.Files({f"tiles/{number}.npz": b"12" for number in range(2000)})
+    assert "tiles/x.npz" not in many
+    assert many.get("tiles/x.npz") is None
+    with pytest.raises(KeyError, match=r"no file `tiles/x\.npz`; there are tiles/0\.npz, .*, …"):
+        many["tiles/x.npz"]
+    few = rockface.Files({"a": b"1"})
+    assert "b" not in few
+    assert few.get("b") is None
 
 
 def test_a_raster_has_the_shape_of_its_grid(small):

@@ -35,8 +35,8 @@ params! {
         frame: GridFrame = GridFrame::Automatic,
         /// The coordinate reference system of files that state none: `EPSG:28356`.
         crs: Option<CrsName> = None,
-        /// Values of the files that stand for no value, besides the one that a file declares: `[-9999]`. They are those that remain
-        /// where the file has a scale and an offset, and before feet are converted.
+        /// Values of the files that stand for no value, besides the one that a file declares: `[-9999]`. Compared after scale and
+        /// offset of the file, and before feet are converted.
         nodata: Vec<f64> = Vec::new(),
         /// Larger values are outliers and left out; left out: none are.
         max_abs: Option<f64> = None; Range::Positive,
@@ -52,7 +52,7 @@ pub struct ImportRasters;
 impl Stage for ImportRasters {
     type Params = ImportRastersParams;
     const NAME: &'static str = "import-rasters";
-    const VERSION: u32 = 5;
+    const VERSION: u32 = 6;
     const PAGE: Page = Page::new(include_str!("import_rasters.md"));
     const INPUTS: &'static [Port] = &[];
     const OUTPUTS: &'static [Port] =

@@ -9,12 +9,14 @@ const LEAST_IMPOSSIBLE_M: f32 = 100.0;
 const USUAL: [f32; 3] = [-9999.0, -32767.0, -32768.0];
 /// Numbers as large as this are the largest of 32 bits, rounded or not, or infinite.
 const LARGEST: f32 = 3.4e38;
-/// Cells whose values the isolation of a zero is told from, at most.
+/// Cells whose values the isolation of a value is told from, at most.
 const SAMPLE: usize = 100_000;
-/// A zero is isolated where it is so many robust standard deviations from the median of all other values, ...
+/// A value is isolated where it is so many robust standard deviations from the median of all other values, ...
 const ISOLATED_SPREADS: f64 = 20.0;
 /// ... and at least so far, metres.
 const ISOLATED_M: f64 = 10.0;
+/// The least and the greatest value are no outliers but one value that is written where there is none where so many cells hold them.
+const SEVERAL: usize = 3;
 
 /// Values that look like a no-data value that is not declared.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -25,7 +27,8 @@ pub struct Undeclared {
     pub cells: usize,
 }
 
-/// Values of elevations that programs write where there is none, and zeros far from all the rest.
+/// Values of elevations that programs write where there is none, and zeros, or a least or greatest value of several
+/// cells, far from all the rest.
 pub fn undeclared_elevations(values: &[f32]) -> Vec<Undeclared> {
     let mut found: Vec<Undeclared> = Vec::new();
     let mut zeros = 0;
@@ -38,8 +41,17 @@ pub fn undeclared_elevations(values: &[f32]) -> Vec<Undeclared> {
         }
         zeros += usize::from(is_same(value, 0.0));
     }
-    if zeros > 0 && is_isolated_zero(values) {
+    if zeros > 0 && is_isolated(0.0, values) {
         found.push(Undeclared { value: 0.0, cells: zeros });
+    }
+    let others =
+        || values.iter().copied().filter(|value| !value.is_nan() && !is_usual(*value) && !is_same(*value, 0.0));
+    let extremes = [others().reduce(f32::min), others().reduce(f32::max)];
+    for value in extremes.into_iter().flatten() {
+        let cells = others().filter(|other| is_same(*other, value)).count();
+        if cells >= SEVERAL && is_isolated(value, values) {
+            found.push(Undeclared { value, cells });
+        }
     }
     found
 }
@@ -53,14 +65,14 @@ fn is_usual(value: f32) -> bool {
     value.abs() >= LARGEST || USUAL.iter().any(|usual| is_same(*usual, value))
 }
 
-fn is_isolated_zero(values: &[f32]) -> bool {
-    let is_other = |value: &&f32| !value.is_nan() && !is_usual(**value) && !is_same(**value, 0.0);
+fn is_isolated(suspect: f32, values: &[f32]) -> bool {
+    let is_other = |value: &&f32| !value.is_nan() && !is_usual(**value) && !is_same(**value, suspect);
     let sample = values.iter().step_by(values.len().div_ceil(SAMPLE).max(1));
     let mut others: Vec<f64> = sample.filter(is_other).map(|value| f64::from(*value)).collect();
     let Some(median) = quantile::median(&mut others) else { return false };
     others.iter_mut().for_each(|value| *value = (*value - median).abs());
     let spread = marginal::NORMAL_MAD * quantile::median(&mut others).unwrap_or(0.0);
-    median.abs() > ISOLATED_M.max(ISOLATED_SPREADS * spread)
+    (f64::from(suspect) - median).abs() > ISOLATED_M.max(ISOLATED_SPREADS * spread)
 }
 
 /// A value as it is written in a pipeline.
@@ -105,6 +117,29 @@ mod tests {
         assert_eq!(found(&below), [(0.0, 1)]);
         let texts = [-9999.0, 3.4e38, f32::MAX, f32::NEG_INFINITY].map(written);
         assert_eq!(texts, ["-9999", "3.4e38", "3.4028235e38", "-1.7976931348623157e308"]);
+    }
+
+    #[test]
+    fn a_value_of_several_cells_far_from_all_others_is_found() {
+        let face = |i: usize| 600.0 + (i % 10) as f32;
+        for value in [-99_999.0, 1e30, -327.68] {
+            let mut values: Vec<f32> = (0..100).map(face).collect();
+            values[3..5].fill(value);
+            assert_eq!(found(&values), [], "two outliers");
+            values[5] = value;
+            assert_eq!(found(&values), [(value, 3)]);
+        }
+        assert_eq!([1e30, -327.68].map(written), ["1e30", "-327.68"]);
+        let mut both: Vec<f32> = (0..100).map(face).collect();
+        both[..5].fill(-99_999.0);
+        both[5..10].fill(-9999.0);
+        both[10..14].fill(1e30);
+        assert_eq!(found(&both), [(-9999.0, 5), (-99_999.0, 5), (1e30, 4)]);
+        // A floor and a roof of the face itself.
+        let mut steps: Vec<f32> = (0..100).map(face).collect();
+        steps[..20].fill(595.0);
+        steps[20..40].fill(618.0);
+        assert_eq!(found(&steps), []);
     }
 
     #[test]

@@ -8,6 +8,8 @@ use super::split::PARTS;
 pub struct Facts<'a> {
     /// The title of the data set.
     pub title: &'a str,
+    /// Text before the names of files.
+    pub prefix: &'a str,
     /// The licence, as hubs write it in the front matter.
     pub licence: &'a str,
     /// Cells along the side of a tile.
@@ -32,7 +34,8 @@ pub struct Facts<'a> {
 
 /// The card, in Markdown with the front matter that hubs read; `index` is the list of tiles.
 pub fn write(facts: &Facts, index: &Table) -> Vec<u8> {
-    let Facts { title, licence, side, cells_m, frame, is_wall, distinct, overlap, split, negatives, formats } = facts;
+    let Facts { title, prefix, licence, side, cells_m, frame, is_wall, distinct, overlap, split, negatives, formats } =
+        facts;
     let mut text = format!(
         "---\nlicense: {licence}\ntask_categories: [image-segmentation]\ntags: [rockfall, change-detection]\n---\n"
     );
@@ -57,9 +60,9 @@ pub fn write(facts: &Facts, index: &Table) -> Vec<u8> {
     let along = if *is_wall { "along Z, out of the rock" } else { "along Z" };
     text.push_str(&format!(
         "\nSplit: {split}. Tiles without change: {negatives}. Formats: {formats}.{overlap}\n\n\
-         ## Files\n\n`index.csv` has a row a tile; `tiles/PART/` the tiles; `events/` the ground truth (GeoJSON); the column `truth` \
+         ## Files\n\n`{prefix}index.csv` has a row a tile; `tiles/PART/` the tiles; `events/` the ground truth (GeoJSON); the column `truth` \
          of the index names the file of each tile, as an event has several where its surveys saw different changes, or none; \
-         `stac/catalog.json` a STAC catalogue; `SHA256SUMS` for `sha256sum --check SHA256SUMS`.\n\n\
+         `stac/{prefix}catalog.json` a STAC catalogue; `{prefix}SHA256SUMS` for `sha256sum --check {prefix}SHA256SUMS`.\n\n\
          ## Arrays\n\n| name | type | meaning |\n|---|---|---|\n\
          | `difference` | float32, metres | after minus before {along}; material lost is negative; NaN: no value |\n\
          | `reference`, `comparison` | float32, metres | elevation before and after |\n\
@@ -95,6 +98,7 @@ mod tests {
         }
         let facts = Facts {
             title: "T",
+            prefix: "s1_",
             licence: "cc-by-4.0",
             side: 4,
             cells_m: "0.02 and 0.04".into(),
@@ -114,6 +118,7 @@ mod tests {
         );
         assert!(text.contains("cells of 0.02 and 0.04 m") && text.contains("Tiles overlap."), "{text}");
         assert!(text.contains("| validation | 0 | 0 | 0 | 0 | 0 | 0 | 0 |"), "{text}");
+        assert!(text.contains("`s1_index.csv`") && text.contains("`stac/s1_catalog.json`"), "{text}");
         assert!(text.starts_with("---\nlicense: cc-by-4.0"));
     }
 }

@@ -19,6 +19,8 @@ pub struct Item<'a> {
     pub grid: Grid,
     /// The frame of its grid.
     pub frame: Frame,
+    /// Name of the file of the root.
+    pub root: &'a str,
     /// Date and time it stands for, RFC 3339.
     pub datetime: &'a str,
     /// Properties besides time and projection, which are added.
@@ -27,11 +29,11 @@ pub struct Item<'a> {
     pub assets: Vec<(&'a str, &'a str, &'a str, &'a [u8])>,
 }
 
-/// The root, which lists the items.
-pub fn root(id: &str, title: &str, description: &str, items: &[String]) -> Vec<u8> {
+/// The root, in a file of this name, which lists the items.
+pub fn root(name: &str, id: &str, title: &str, description: &str, items: &[String]) -> Vec<u8> {
     let link =
         |id: &String| json!({"rel": "item", "href": format!("./items/{id}.json"), "type": "application/geo+json"});
-    let mut links = vec![json!({"rel": "root", "href": "./catalog.json", "type": "application/json"})];
+    let mut links = vec![json!({"rel": "root", "href": format!("./{name}"), "type": "application/json"})];
     links.extend(items.iter().map(link));
     pretty(&json!({
         "type": "Catalog", "stac_version": "1.1.0", "id": id, "title": title, "description": description, "links": links,
@@ -68,6 +70,7 @@ pub fn item(item: &Item) -> Vec<u8> {
         ((*role).to_owned(), value)
     };
     let assets: Map<String, Value> = item.assets.iter().map(asset).collect();
+    let root = format!("../{}", item.root);
     let mut made = json!({
         "type": "Feature", "stac_version": "1.1.0", "id": item.id, "geometry": null, "properties": properties, "assets": assets,
         "stac_extensions": [
@@ -75,8 +78,8 @@ pub fn item(item: &Item) -> Vec<u8> {
             "https://stac-extensions.github.io/file/v2.1.0/schema.json",
         ],
         "links": [
-            {"rel": "root", "href": "../catalog.json", "type": "application/json"},
-            {"rel": "parent", "href": "../catalog.json", "type": "application/json"},
+            {"rel": "root", "href": root, "type": "application/json"},
+            {"rel": "parent", "href": root, "type": "application/json"},
         ],
     });
     if let Some(ring) = crs.and_then(|crs| on_earth(crs, bounds)) {
@@ -150,6 +153,7 @@ mod tests {
             id: "a",
             grid,
             frame: Frame::Wall,
+            root: "catalog.json",
             datetime: "2026-01-01T00:00:00Z",
             properties: Map::new(),
             assets: vec![("npz", "tiles/a.npz", "application/x-npz", b"abc")],
@@ -158,7 +162,7 @@ mod tests {
         assert!(made["geometry"].is_null() && made.get("bbox").is_none());
         assert_eq!(made["properties"]["proj:bbox"], json!([1.0, 2.0, 3.0, 3.0]));
         assert!(made["assets"]["npz"]["file:checksum"].as_str().unwrap().starts_with("1220ba7816bf"));
-        let root: Value = serde_json::from_slice(&root("i", "t", "d", &["a".to_owned()])).unwrap();
+        let root: Value = serde_json::from_slice(&root("catalog.json", "i", "t", "d", &["a".to_owned()])).unwrap();
         assert_eq!(root["links"][1]["href"], "./items/a.json");
     }
 
@@ -172,6 +176,7 @@ mod tests {
             id: "a",
             grid,
             frame,
+            root: "catalog.json",
             datetime: "2026-01-01T00:00:00Z",
             properties: Map::new(),
             assets: Vec::new(),

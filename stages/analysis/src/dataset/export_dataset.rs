@@ -108,7 +108,8 @@ params! {
         negatives: Negatives = Negatives::Hard,
         /// Formats.
         formats: Vec<Format> = vec![Format::Npz, Format::Geotiff],
-        /// Text before the names of tiles and events, so that data sets of several seeds go into one folder: letters, digits, `-`, `_`.
+        /// Text before the names of all files (tiles, events, index, sums, card, catalogue), so that data sets of several seeds go into one
+        /// folder: letters, digits, `-`, `_`.
         prefix: String = String::new(),
         /// Title of the data set.
         title: String = "Simulated rockfall change detection".to_owned(),
@@ -125,7 +126,7 @@ pub struct ExportDataset;
 impl Stage for ExportDataset {
     type Params = ExportDatasetParams;
     const NAME: &'static str = "export-dataset";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const PAGE: Page = Page::new(include_str!("export_dataset.md"));
     const INPUTS: &'static [Port] = &[
         Port::many("difference", &[Kind::Raster], "Differences, gathered over events and draws."),

@@ -2,6 +2,7 @@
 
 use super::cloud::Cloud;
 use super::column_marks::{Halves, number, numbers, shown};
+use super::column_names;
 use super::separators::{Separator, without_brackets};
 use rockface_core::artefact::CodecError;
 use rockface_core::limits::Stop;
@@ -50,8 +51,12 @@ struct Columns {
     /// Whether the caller does.
     is_given: bool,
     count: Option<usize>,
+    /// Columns of the first row without empty ones at its end, where nothing names columns.
+    least: usize,
     /// What separates the names of the header.
     header: Option<Separator>,
+    /// Whether the names are those of a comment that may be a sentence: of as many words as the next row has columns they are names.
+    is_doubtful: bool,
     /// What separates the columns of points.
     separator: Option<Separator>,
     /// Points whose colour is empty though a name says that they have one.
@@ -71,6 +76,13 @@ impl Columns {
         if line.trim().is_empty() {
             return Ok(());
         }
+        if std::mem::take(&mut self.is_doubtful) {
+            let separator = Separator::of_rows(line, self.header, self.count)?;
+            let words = if separator == Separator::Blanks { numbers(line)? } else { separator.fields(line) };
+            if self.count != Some(words.len()) {
+                self.forget_names();
+            }
+        }
         let separator = match self.separator {
             Some(separator) => separator,
             None => Separator::of_rows(line, self.header, self.count)?,
@@ -80,10 +92,22 @@ impl Columns {
         if words.iter().all(|word| word.is_empty()) {
             return Ok(());
         }
-        // Some programs end each line with a separator.
+        // Some programs end each line with a separator, some only a few.
         let count = self.count.unwrap_or(words.len());
         while words.len() > count && words.last().is_some_and(|word| word.is_empty()) {
             words.pop();
+        }
+        if self.count.is_none() {
+            self.least = words.iter().rposition(|word| !word.is_empty()).map_or(0, |last| last + 1);
+        }
+        if !self.is_named && words.len() < count && words.len() >= self.least {
+            words.resize(count, "");
+        }
+        // Tabs may follow each other only to align columns.
+        if separator == Separator::Tab
+            && self.count.is_some_and(|count| words.len() > count && line.split_whitespace().count() == count)
+        {
+            words = numbers(line)?;
         }
         if !self.is_named {
             self.halves.see(line, &words);
@@ -98,16 +122,17 @@ impl Columns {
         let words = separator.fields(&bare);
         let is_number = |word: &&str| number(word).is_ok();
         let is_first = self.cloud.points.is_empty();
-        let may_name = is_first && self.places.is_none() && !words.iter().all(is_number);
-        if may_name && self.name_as(separator, &words).is_ok() {
-            return Ok(true);
-        }
-        if is_comment || words.iter().filter(|word| !word.is_empty()).count() < 2 {
+        let may_name = is_first && (self.places.is_none() || self.is_doubtful) && !words.iter().all(is_number);
+        if may_name && self.name_as(separator, &words, is_comment).is_ok() {
             return Ok(true);
         }
         // Commas may separate the coordinates of a header and blanks the rest.
         let blanks = Separator::Blanks;
-        if may_name && separator != blanks && self.name_as(blanks, &blanks.fields(&bare)).is_ok() {
+        if may_name && separator != blanks && self.name_as(blanks, &blanks.fields(&bare), is_comment).is_ok() {
+            self.is_doubtful = is_comment;
+            return Ok(true);
+        }
+        if is_comment || words.iter().filter(|word| !word.is_empty()).count() < 2 {
             return Ok(true);
         }
         if words.iter().any(is_number) {
@@ -118,29 +143,32 @@ impl Columns {
             self.header = Some(separator);
             return Ok(true);
         }
-        self.name(&words).map(|()| true).map_err(|fault| no_coordinates(&fault))
+        self.name_as(separator, &words, false).map(|()| true).map_err(|fault| no_coordinates(&fault))
     }
 
     /// Takes the names of a header that are separated so.
-    fn name_as(&mut self, separator: Separator, words: &[&str]) -> Result<(), String> {
+    fn name_as(&mut self, separator: Separator, words: &[&str], is_comment: bool) -> Result<(), String> {
         let count = words.iter().rposition(|word| !word.is_empty()).map_or(0, |last| last + 1);
-        self.name(&words[..count])?;
+        let words = &words[..count];
+        let is_short = is_comment && column_names::are_short(words);
+        if is_short && separator == Separator::Blanks && !column_names::are_all_known(words) {
+            return Err("a sentence".to_owned());
+        }
+        self.name(words)?;
         self.header = Some(separator);
+        self.is_doubtful = is_short;
         Ok(())
     }
 
+    fn forget_names(&mut self) {
+        (self.places, self.normals, self.count, self.header) = (None, None, None, None);
+        self.is_named = false;
+    }
+
     fn name(&mut self, words: &[&str]) -> Result<(), String> {
-        let clean = |word: &&str| word.trim_matches(|c: char| !c.is_alphanumeric()).to_ascii_lowercase();
-        let names: Vec<String> = words.iter().map(clean).collect();
-        // Of several names for one the first of the list is taken.
-        let place = |known: &[&str]| known.iter().find_map(|known| names.iter().position(|name| name == known));
-        let all = |a: Option<usize>, b: Option<usize>, c: Option<usize>| Some([a?, b?, c?]);
-        let (x, y) = (place(&["x", "x_m", "easting", "e"]), place(&["y", "y_m", "northing", "n"]));
-        let places = all(x, y, place(&["z", "z_m", "height", "elevation", "elev", "rl"]))
-            .ok_or_else(|| format!("columns x, y and z are needed, but the names are `{}`", words.join(" ")))?;
-        let colours = all(place(&["r", "red"]), place(&["g", "green"]), place(&["b", "blue"]));
-        self.normals = all(place(&["nx"]), place(&["ny"]), place(&["nz"]));
-        self.places = Some((places, colours));
+        let named = column_names::named(words)?;
+        self.places = Some((named.places, named.colours));
+        self.normals = named.normals;
         self.count = Some(words.len());
         self.is_named = true;
         Ok(())
@@ -311,6 +339,51 @@ mod tests {
         let coloured = cloud("x,y,z,r,g,b\n1,2,3,4,5,6\n1,2,4,,,\n");
         assert!(coloured.colours.is_empty() && coloured.points.len() == 2);
         assert_eq!(coloured.warnings, ["1 points have no colour: colours are left out"]);
+    }
+
+    #[test]
+    fn comments_name_columns_where_they_fit_the_rows() {
+        let turned = |text: &str| cloud(text).points[0];
+        let [rgb, intensity] = ["2 1 3 10 20 30\n", "1 2 3 90 10 20 30\n"];
+        for text in [
+            format!("# Y, X, Z R G B\n{rgb}"),
+            format!("# X, Y, Z intensity R G B\n{intensity}"),
+            "// id,x,y,z nx ny nz\n0 1 2 3 0 0 1\n".to_owned(),
+            "# N E RL\n2 1 3\n".to_owned(),
+            "# N E RL R G B\n2 1 3 9 9 9\n".to_owned(),
+            "# N, E, RL, code\n2,1,3,7\n".to_owned(),
+            format!("# seen from X, Y, Z of the lift\n# Y, X, Z R G B\n{rgb}"),
+            format!("# seen from X, Y, Z of the lift\nY X Z R G B\n{rgb}"),
+            // Sentences.
+            "# seen from X, Y, Z of the lift\n1 2 3\n".to_owned(),
+            "# surveyed by N E RL\n1 2 3\n".to_owned(),
+            "# surveyed by N E RL\n1 2 3 4 5\n".to_owned(),
+            "# N, E, RL and others\n1 2 3\n".to_owned(),
+        ] {
+            assert_eq!(turned(&text), [1.0, 2.0, 3.0], "{text}");
+        }
+        let coloured = cloud(&format!("# Y, X, Z R G B\n{rgb}"));
+        assert_eq!(coloured.colours, [[10, 20, 30]]);
+    }
+
+    #[test]
+    fn tabs_may_align_columns() {
+        for text in [
+            "X\tY\tZ\n1\t\t2\t\t3\n4\t\t5\t\t6\n",
+            "X\tY\tZ\n1\t2\t3\n4\t\t5\t6\n",
+            "X\tY\tZ\n1\t\t2\t3\n4\t5\t6\t\n",
+            "1\t2\t3\t\n4\t5\t6\n",
+            "1,2,3,\n4,5,6\n",
+            "1,2,3,\n4,5,6,rock\n",
+            "1\t2\t3\n4\t5\t\t6\n",
+            "1\t2\t\t3\n4\t5\t6\n",
+            "X\tY\tZ\n1,0\t\t2,0\t3\n4\t5\t6\n",
+        ] {
+            assert_eq!(cloud(text).points, [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]], "{text:?}");
+        }
+        // An empty field stays one where a header gives it a name.
+        let coded = cloud("X\tY\tCode\tZ\n1\t2\t\t3\n4\t5\tweathered rock\t6\n");
+        assert_eq!(coded.points, [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]);
     }
 
     #[test]

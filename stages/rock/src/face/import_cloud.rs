@@ -70,7 +70,7 @@ pub struct ImportCloud;
 impl Stage for ImportCloud {
     type Params = ImportCloudParams;
     const NAME: &'static str = "import-cloud";
-    const VERSION: u32 = 6;
+    const VERSION: u32 = 7;
     const PAGE: Page = Page::new(include_str!("import_cloud.md"));
     const INPUTS: &'static [Port] = &[];
     const OUTPUTS: &'static [Port] = &[Port::one("mesh", &[Kind::Mesh], "The mesh, in the frame of the file.")];

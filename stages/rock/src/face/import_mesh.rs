@@ -82,7 +82,7 @@ pub struct ImportMesh;
 impl Stage for ImportMesh {
     type Params = ImportMeshParams;
     const NAME: &'static str = "import-mesh";
-    const VERSION: u32 = 5;
+    const VERSION: u32 = 6;
     const PAGE: Page = Page::new(include_str!("import_mesh.md"));
     const INPUTS: &'static [Port] = &[];
     const OUTPUTS: &'static [Port] = &[Port::one("mesh", &[Kind::Mesh], "The mesh, in the frame of the file.")];
@@ -306,12 +306,13 @@ fn report(mesh: &Mesh, (repaired, turned): (&Repaired, usize), found: &Inspectio
     }
     if let Some(far) = stray::stray(mesh) {
         context.warn(format!(
-            "{} triangles lie far from all others, the farthest corner at {}, {:.0} m from the middle of the face, of which 99 % lie within {:.1} m: \
+            "{} triangles lie far from all others, the farthest corner at {}, {:.0} m from the middle of the face, of which {:.0} % lie within {:.1} m: \
              they bend the plane that `transform-crs` fits and stretch grids; `min_piece_triangles` drops small pieces, and `plane: robust` of \
              `transform-crs` fits the plane without them",
             far.triangles,
             place(far.place),
             far.distance_m,
+            100.0 * far.share,
             far.extent_m
         ));
     }

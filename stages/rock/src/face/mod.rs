@@ -4,6 +4,7 @@ pub mod block_relief;
 pub mod cloud;
 pub mod cloud_text;
 pub mod column_marks;
+pub mod column_names;
 pub mod distance;
 pub mod half_edges;
 pub mod inspection;

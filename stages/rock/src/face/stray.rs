@@ -2,8 +2,12 @@
 
 use rockface_core::artefact::Mesh;
 
-/// Share of the area that tells the extent of the face.
+/// Share of the area that tells the extent of the face, ...
 const SHARE: f64 = 0.99;
+/// ... or less where a mesh has so few triangles that one of them is more than the rest: so many are left out then, ...
+const LEFT_OUT: f64 = 2.5;
+/// ... but no more than this leaves.
+const LEAST_SHARE: f64 = 0.75;
 /// Beyond so many extents a triangle is far away.
 const FAR: f64 = 10.0;
 /// Triangles that the extent is told from, at most.
@@ -20,11 +24,13 @@ pub struct Stray {
     pub place: [f64; 3],
     /// Its distance from the middle of the face, metres.
     pub distance_m: f64,
-    /// Within this distance of the middle lie 99 % of the face, metres.
+    /// Within this distance of the middle lies the share of the face, metres.
     pub extent_m: f64,
+    /// The share of the area that tells the extent: 0.99, less for meshes of fewer than 250 triangles.
+    pub share: f64,
 }
 
-/// Triangles with a corner ten times as far from the middle of the face as 99 % of its area are; `None` where there are none.
+/// Triangles with a corner ten times as far from the middle of the face as 99 % of its area are (less of a mesh of few triangles); `None` where there are none.
 ///
 /// The middle is the median of the centroids by area, coordinate by coordinate. Both are told from a sample of large meshes.
 pub fn stray(mesh: &Mesh) -> Option<Stray> {
@@ -43,10 +49,11 @@ pub fn stray(mesh: &Mesh) -> Option<Stray> {
         let all = corners.map(|corner| (distance(corner, middle), corner));
         all.into_iter().fold((0.0, middle), |far, next| if next.0 > far.0 { next } else { far })
     };
-    let extent_m = quantile(sample.iter().map(|corners| farthest(*corners).0).zip(areas.iter().copied()), SHARE)?;
+    let share = SHARE.min(1.0 - LEFT_OUT / sample.len() as f64).max(LEAST_SHARE);
+    let extent_m = quantile(sample.iter().map(|corners| farthest(*corners).0).zip(areas.iter().copied()), share)?;
     let all = mesh.triangles.iter().map(|triangle| farthest(corners(triangle)));
     all.filter(|(distance_m, _)| *distance_m > FAR * extent_m).fold(None, |stray, (distance_m, place)| {
-        let before = stray.unwrap_or(Stray { triangles: 0, place, distance_m, extent_m });
+        let before = stray.unwrap_or(Stray { triangles: 0, place, distance_m, extent_m, share });
         let triangles = before.triangles + 1;
         let farther = if distance_m > before.distance_m { Stray { place, distance_m, ..before } } else { before };
         Some(Stray { triangles, ..farther })
@@ -98,6 +105,18 @@ mod tests {
             "{found:?}"
         );
         assert!((8.0..20.0).contains(&found.extent_m), "{found:?}");
+        let mut few = height_mesh(5, [0.0, 5.0, 0.0, 5.0], |x, y| 0.1 * x * y);
+        few.vertices.iter_mut().for_each(|vertex| vertex[0] += 451_000.0);
+        assert_eq!(stray(&few), None);
+        few.vertices.extend([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]);
+        let first = few.vertices.len() as u32 - 3;
+        few.triangles.push([first, first + 1, first + 2]);
+        let found = stray(&few).unwrap();
+        assert!(
+            found.triangles == 1 && found.extent_m < 5.0 && found.share < 0.97,
+            "{found:?}, {}",
+            few.triangles.len()
+        );
         let mut spike = face();
         spike.vertices[0] = [0.0; 3];
         assert!(stray(&spike).is_some_and(|found| (1..=6).contains(&found.triangles)));

@@ -26,6 +26,8 @@ pub(super) struct Events {
     pub(super) of_sample: Vec<usize>,
     /// Part of each event, where events are split.
     pub(super) parts: Vec<usize>,
+    /// Events that are in a part because nothing else would be in it.
+    pub(super) lent: Vec<usize>,
 }
 
 pub(super) fn events(params: &ExportDatasetParams, samples: &[Scored], context: &Context) -> Events {
@@ -43,7 +45,7 @@ pub(super) fn events(params: &ExportDatasetParams, samples: &[Scored], context: 
         });
         of_sample.push(number);
     }
-    let mut events = Events { points, of_sample, parts: Vec::new() };
+    let mut events = Events { points, of_sample, parts: Vec::new(), lent: Vec::new() };
     deal(params, &mut events, context);
     events
 }
@@ -65,9 +67,8 @@ fn deal(params: &ExportDatasetParams, events: &mut Events, context: &Context) {
         return;
     }
     let numbers: Vec<f64> = words.iter().map(|words| f64::from(words[0]) / (f64::from(u32::MAX) + 1.0)).collect();
-    let (parts, lent) = split::by_numbers(&numbers, shares);
-    events.parts = parts;
-    if !lent.is_empty() && params.split == SplitBy::Event {
+    (events.parts, events.lent) = split::by_numbers(&numbers, shares);
+    if !events.lent.is_empty() && params.split == SplitBy::Event {
         let told = |event: &usize| {
             format!("{} for {}", files::event_name(params, events, *event), PARTS[events.parts[*event]])
         };
@@ -75,7 +76,7 @@ fn deal(params: &ExportDatasetParams, events: &mut Events, context: &Context) {
             "{} events are few for these shares: {} only because nothing else would be; in a larger data set it may be for another part, all \
              other events stay where they are. `dealing: exact` deals by the shares",
             words.len(),
-            lent.iter().map(told).collect::<Vec<_>>().join(", ")
+            events.lent.iter().map(told).collect::<Vec<_>>().join(", ")
         ));
     }
 }

@@ -117,16 +117,24 @@ pub(super) fn files(
         files.extend(made.into_iter().map(|(_, _, place, bytes)| (place, bytes)));
         ids.push(name);
     }
-    files.push(("index.csv".to_owned(), index.to_csv().map_err(codec)?));
-    let description = format!("Tiles of simulated rockfall surveys in {}; see README.md.", frames(chosen.samples));
-    let id = format!("{}rockface-dataset", params.prefix);
-    files.push(("stac/catalog.json".to_owned(), catalogue::root(&id, &params.title, &description, &ids)));
+    let prefix = &params.prefix;
+    files.push((format!("{prefix}index.csv"), index.to_csv().map_err(codec)?));
+    let description =
+        format!("Tiles of simulated rockfall surveys in {}; see {prefix}README.md.", frames(chosen.samples));
+    let id = format!("{prefix}rockface-dataset");
+    let root = root(params);
+    files.push((format!("stac/{root}"), catalogue::root(&root, &id, &params.title, &description, &ids)));
     files.extend(items);
-    files.push(("README.md".to_owned(), card(params, chosen, index)));
+    files.push((format!("{prefix}README.md"), card(params, chosen, index)));
     files.sort();
     let sums = checksums::list(&files);
-    files.push(("SHA256SUMS".to_owned(), sums.into_bytes()));
+    files.push((format!("{prefix}SHA256SUMS"), sums.into_bytes()));
     Ok(files)
+}
+
+/// The name of the file of the root of the catalogue.
+fn root(params: &ExportDatasetParams) -> String {
+    format!("{}catalog.json", params.prefix)
 }
 
 /// What coordinates are in, in words.
@@ -220,6 +228,7 @@ pub(super) fn item(params: &ExportDatasetParams, chosen: &Chosen, pick: &Pick, i
         id,
         grid: pick.tile.grid(&sample.difference.grid),
         frame: sample.difference.frame,
+        root: &root(params),
         datetime: &catalogue::date(params.first_day + event as i64),
         properties,
         assets,
@@ -230,8 +239,13 @@ pub(super) fn card(params: &ExportDatasetParams, chosen: &Chosen, index: &Table)
     let split = match params.split {
         SplitBy::Event => {
             let dealt = match params.dealing {
-                Dealing::Stable => "each is dealt by a number of its own and stays in its part when the data set grows",
-                Dealing::Exact => "they are shuffled and dealt by the shares, and change parts when the data set grows",
+                Dealing::Stable => {
+                    let kept = "each is dealt by a number of its own and stays in its part when the data set grows";
+                    format!("{kept}{}", lent(params, chosen.events))
+                }
+                Dealing::Exact => {
+                    "they are shuffled and dealt by the shares, and change parts when the data set grows".to_owned()
+                }
             };
             let axes = params.event_axes.join(", ");
             format!("by event ({axes}): all draws and tiles of an event are in one part; {dealt}")
@@ -257,6 +271,7 @@ pub(super) fn card(params: &ExportDatasetParams, chosen: &Chosen, index: &Table)
     };
     let facts = Facts {
         title: &params.title,
+        prefix: &params.prefix,
         licence: &params.licence,
         side: params.tile_cells as usize,
         cells_m: listed(chosen.samples.iter().map(|sample| sample.difference.grid.cell_m.to_string())),
@@ -269,6 +284,15 @@ pub(super) fn card(params: &ExportDatasetParams, chosen: &Chosen, index: &Table)
         formats: formats.join(", "),
     };
     card::write(&facts, index)
+}
+
+/// The events that may change parts all the same, in words.
+fn lent(params: &ExportDatasetParams, events: &Events) -> String {
+    let told = |event: &usize| {
+        let (name, part) = (event_name(params, events, *event), PARTS[events.parts[*event]]);
+        format!(", but for {name}, lent to {part} because nothing else would be in it")
+    };
+    events.lent.iter().map(told).collect()
 }
 
 /// Cells in the tiles of a part, those of overlapping tiles once.

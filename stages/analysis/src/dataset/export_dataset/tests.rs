@@ -162,9 +162,12 @@ fn few_events_fill_every_part_and_what_was_lent_is_told() {
     let mut lent = 0;
     for seed in 0..8 {
         let host = TestHost::seeded(seed);
-        let (_, index) = run_on(&host, &with, &inputs(5, 0)).unwrap();
+        let (files, index) = run_on(&host, &with, &inputs(5, 0)).unwrap();
         let parts: std::collections::BTreeSet<String> = column(&index, "split").into_iter().collect();
         assert_eq!(parts.len(), 3, "{seed}");
+        let card = String::from_utf8(files.into_iter().find(|(name, _)| name == "README.md").unwrap().1).unwrap();
+        let is_lent = host.warnings().iter().any(|text| text.contains("only because nothing else would be"));
+        assert_eq!(card.contains(", lent to "), is_lent, "{card}");
         lent += host.warnings().iter().filter(|text| text.contains("5 events are few for these shares")).count();
     }
     assert!(lent > 0);
@@ -201,7 +204,34 @@ fn a_tile_names_the_file_that_has_the_numbers_of_its_mask() {
     assert_eq!((id(&expected[1]), id(&expected[2])), (vec![Some(7.0)], vec![Some(8.0)]));
     assert_eq!(files.iter().filter(|(place, _)| place.starts_with("events/")).count(), 3);
     let item = String::from_utf8(file(&format!("stac/items/{}.json", column(&index, "tile")[0])).clone()).unwrap();
+    assert_eq!(item.matches("\"../s1_catalog.json\"").count(), 2, "{item}");
     assert!(item.contains(&format!("\"rockface:truth\": \"{}\"", column(&index, "truth")[0])), "{item}");
+}
+
+#[test]
+fn data_sets_with_other_prefixes_have_no_file_in_common() {
+    let names = |prefix: &str| {
+        let with = json!({"tile_cells": 8, "stride_cells": 8, "prefix": prefix,
+            "shares": {"train": 1, "validation": 0, "test": 0}});
+        let (files, _) = run(&with, &inputs(1, 0)).unwrap();
+        let sums = String::from_utf8(files.iter().find(|(name, _)| name.ends_with("SHA256SUMS")).unwrap().1.clone());
+        assert!(sums.unwrap().lines().all(|line| files.iter().any(|(name, _)| line.ends_with(&format!("  {name}")))));
+        let root = &files.iter().find(|(name, _)| name.ends_with("catalog.json")).unwrap().1;
+        let root: serde_json::Value = serde_json::from_slice(root).unwrap();
+        for link in root["links"].as_array().unwrap() {
+            let place = link["href"].as_str().unwrap().replacen('.', "stac", 1);
+            assert!(files.iter().any(|(name, _)| *name == place), "{place}");
+        }
+        files.into_iter().map(|(name, _)| name).collect::<std::collections::BTreeSet<String>>()
+    };
+    let (plain, one, two) = (names(""), names("s1_"), names("s2_"));
+    assert!(one.is_disjoint(&two) && one.len() == plain.len(), "{one:?}");
+    for name in ["index.csv", "SHA256SUMS", "README.md", "stac/catalog.json"] {
+        assert!(plain.contains(name), "{name}");
+    }
+    for name in ["s1_index.csv", "s1_SHA256SUMS", "s1_README.md", "stac/s1_catalog.json"] {
+        assert!(one.contains(name), "{name}");
+    }
 }
 
 #[test]
