@@ -209,7 +209,9 @@ fn report(limits: &Table, scene: &Scene, params: &DescribeDetectabilityParams, c
             format!("{}, {share} at no size, as {ceiling:.0} % of the largest are found", half_is(half))
         }
         (Some(half), None) => format!("{}; the limit for {share} is outside their range", half_is(half)),
-        (None, Some(most)) => format!("{share} of those with {name} {most:.2e}; the limit for half is outside their range"),
+        (None, Some(most)) => {
+            format!("{share} of those with {name} {most:.2e}; the limit for half is outside their range")
+        }
         (None, None) => format!(
             "no limit of {name} among them (slope {:.2}, standard error {:.2})",
             slope.unwrap_or(f64::NAN),
