@@ -21,7 +21,7 @@ params! {
     }
 }
 
-/// Volumes from V_min up from which on an exponent is not clearly too large for volumes that choose V_min.
+/// Volumes the law is fitted to from which on a choice of `V_min` by the volumes hardly makes its exponent too large.
 const MANY: usize = 100;
 
 /// Fits a power law N(>= V) = n (V / V_min)^-b to the volumes of an inventory.
