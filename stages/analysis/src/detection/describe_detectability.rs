@@ -30,7 +30,7 @@ pub struct DescribeDetectability;
 impl Stage for DescribeDetectability {
     type Params = DescribeDetectabilityParams;
     const NAME: &'static str = "describe-detectability";
-    const VERSION: u32 = 5;
+    const VERSION: u32 = 6;
     const PAGE: Page = Page::new(include_str!("describe_detectability.md"));
     const INPUTS: &'static [Port] =
         &[Port::one("truth", &[Kind::Inventory, Kind::Table], "The `truth` of `score-detections`, or many joined.")];

@@ -1,6 +1,6 @@
 //! How likely a change is found, by its size, shape and place: shares in classes, and a logistic curve.
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, Vector2, Vector3};
 use rockface_core::numerics::logistic::{self, Regression};
 use rockface_core::numerics::{portable_math, quantile};
 
@@ -73,6 +73,8 @@ pub struct Curve {
     at_centre: f64,
     /// Logarithm of the largest likelihood with any ceiling.
     best: f64,
+    /// As `at_centre` and `slope`: of the likeliest curve with a ceiling, also where it is not taken.
+    with_ceiling: [f64; 2],
     /// Logarithms of the property, less `centre`, and whether each change was found.
     x: Vec<f64>,
     found: Vec<bool>,
@@ -94,8 +96,10 @@ impl Curve {
     /// as where no size at all might be found with this probability.
     pub fn interval(&self, probability: f64) -> [Option<f64>; 2] {
         let Some(at) = self.logarithm_at(probability) else { return [None; 2] };
-        let profile = Profile { x: &self.x, found: &self.found, probability, best: self.best };
-        let ends = profile.ends(at - self.centre, self.slope);
+        let profile =
+            Profile { x: &self.x, found: &self.found, probability, best: self.best, with_ceiling: self.with_ceiling };
+        let e = portable_math::log(probability / (self.ceiling - probability));
+        let ends = profile.ends(at - self.centre, Vector2::new(self.slope, e));
         ends.map(|end| end.map(|end| portable_math::pow(10.0, self.centre + end)))
     }
 
@@ -133,6 +137,7 @@ pub fn curve(values: &[f64], found: &[bool]) -> Option<Curve> {
     let covariance = [[information[(1, 1)], -information[(0, 1)]], [-information[(0, 1)], information[(0, 0)]]];
     let covariance = Matrix3::from_fn(|i, j| if i < 2 && j < 2 { covariance[i][j] / determinant } else { 0.0 });
     let best = with_ceiling.as_ref().map_or(plain, |(_, likelihood, _)| likelihood.max(plain));
+    let likeliest = with_ceiling.as_ref().map_or([a, b], |(theta, _, _)| [theta[0], theta[1]]);
     let (theta, ceiling, likelihood, covariance) = match with_ceiling {
         Some((theta, likelihood, covariance)) if 2.0 * (likelihood - plain) > CEILING_GAIN => {
             (theta, logistic::probability(theta[2]), likelihood, covariance)
@@ -142,7 +147,8 @@ pub fn curve(values: &[f64], found: &[bool]) -> Option<Curve> {
     let slope_se = covariance[(1, 1)].sqrt();
     let gain = 2.0 * (likelihood - flat);
     let (slope, at_centre) = (theta[1], theta[0]);
-    Some(Curve { slope, slope_se, ceiling, gain, centre, at_centre, best, x, found: found.to_vec() })
+    let found = found.to_vec();
+    Some(Curve { slope, slope_se, ceiling, gain, centre, at_centre, best, with_ceiling: likeliest, x, found })
 }
 
 /// The logarithm of the probability of what was seen.

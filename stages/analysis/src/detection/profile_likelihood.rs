@@ -29,16 +29,19 @@ pub struct Profile<'a> {
     pub probability: f64,
     /// Logarithm of the largest likelihood of any curve.
     pub best: f64,
+    /// Of the likeliest curve whose ceiling is below 1, however little it gains: a + b x, as a and b.
+    pub with_ceiling: [f64; 2],
 }
 
 impl Profile<'_> {
-    /// The ends of the interval of 95 % about the size at the likeliest curve, as logarithms; `None` where there is no end.
-    pub fn ends(&self, at: f64, slope: f64) -> [Option<f64>; 2] {
-        [-1.0, 1.0].map(|side| self.end(at, slope, side))
+    /// The ends of the interval of 95 % about the size at the likeliest curve, of which slope and e are given, as logarithms; `None`
+    /// where there is no end.
+    pub fn ends(&self, at: f64, curve: Vector2<f64>) -> [Option<f64>; 2] {
+        [-1.0, 1.0].map(|side| self.end(at, curve, side))
     }
 
-    fn end(&self, at: f64, slope: f64, side: f64) -> Option<f64> {
-        let mut inside = (at, Vector2::new(slope, self.least_e()));
+    fn end(&self, at: f64, curve: Vector2<f64>, side: f64) -> Option<f64> {
+        let mut inside = (at, curve);
         let mut step = FIRST_STEP;
         while let Some(curve) = self.reaches(at + side * step, &inside) {
             inside = (at + side * step, curve);
@@ -63,10 +66,12 @@ impl Profile<'_> {
     fn reaches(&self, t: f64, (near_t, near): &(f64, Vector2<f64>)) -> Option<Vector2<f64>> {
         let is_likely = |curve: &Vector2<f64>| self.log_likelihood(t, curve) >= self.best - SIGNIFICANT;
         let least_e = self.least_e();
-        // The rise stays where it is, the odds at t do, or the ceiling is 1.
+        // The rise stays where it is, the odds at t do, or the ceiling is 1; or the rise is that of the likeliest curve with a ceiling,
+        // which another climb need not find.
         let rise = near[1] + near[0] * (t - near_t);
-        let starts = [rise.max(least_e), near[1], least_e].map(|e| Vector2::new(near[0], e));
-        starts.iter().map(|start| self.climb(t, *start)).find(is_likely)
+        let [a, b] = self.with_ceiling;
+        let starts = [(near[0], rise), (near[0], near[1]), (near[0], least_e), (b, a + b * t)];
+        starts.iter().map(|(slope, e)| self.climb(t, Vector2::new(*slope, e.max(least_e)))).find(is_likely)
     }
 
     /// The logarithm of the odds of the probability, with which the ceiling is 1.
@@ -130,3 +135,6 @@ impl Profile<'_> {
         (score, information)
     }
 }
+
+#[cfg(test)]
+mod tests;

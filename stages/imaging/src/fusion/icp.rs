@@ -4,12 +4,12 @@ use nalgebra::{Matrix3, Matrix6, Rotation3, SymmetricEigen, Vector3, Vector6};
 use rayon::prelude::*;
 
 use rockface_core::artefact::{Surface, Transform};
-use rockface_core::numerics::marginal::NORMAL_MAD;
-use rockface_core::numerics::quantile::median;
 use rockface_core::{StageError, fail};
 
 use super::nearest::{Columns, Partner, local};
 use super::normals::{Neighbourhood, Normals};
+
+mod noise;
 
 /// Automatic search distance, in point spacings of the target.
 const AUTOMATIC_SPACINGS: f64 = 20.0;
@@ -79,7 +79,7 @@ pub struct Registration {
     pub rms_m: f64,
     /// Number of pairs kept in the last iteration.
     pub pairs: usize,
-    /// Number of iterations made, of both passes.
+    /// Number of iterations made, of all passes.
     pub iterations: usize,
     /// Whether the last step was smaller than the limits.
     pub converged: bool,
@@ -109,10 +109,10 @@ pub fn register(source: &Surface, target: &Surface, settings: &Settings) -> Resu
     let origin = Vector3::from(source.origin_m) + centroid;
     let search_m = settings.max_distance_m.unwrap_or(AUTOMATIC_SPACINGS * columns.spacing_m());
     let normals = Normals::new(target, Neighbourhood::WIDEST, arms.len());
-    let fit = Fit { target, normals, finer: None, columns, radius_m, search_m, settings: *settings };
+    let fit = Fit { source, centroid, target, normals, finer: None, columns, radius_m, search_m, settings: *settings };
     // Relative to the target's origin, so that UTM coordinates keep their precision.
     let start = Pose { rotation: Matrix3::identity(), translation: origin - Vector3::from(target.origin_m) };
-    fit.solve_twice(&arms, start).map(|(pose, outcome)| {
+    fit.solve_in_passes(&arms, start).map(|(pose, outcome)| {
         let translation = pose.translation + Vector3::from(target.origin_m);
         Registration { transform: Transform::new("source", "target", &pose.rotation, origin, translation), ..outcome }
     })
@@ -150,9 +150,12 @@ struct Pair {
 }
 
 struct Fit<'a> {
+    source: &'a Surface,
+    /// Of the points used, relative to the origin of the source.
+    centroid: Vector3<f64>,
     target: &'a Surface,
     normals: Normals<'a>,
-    /// Normals of the second pass; where they have too few points, it takes those of the first.
+    /// Normals of later passes; where they have too few points, these take those of the first.
     finer: Option<Normals<'a>>,
     columns: Columns<'a>,
     radius_m: f64,
@@ -162,32 +165,50 @@ struct Fit<'a> {
 
 impl Fit<'_> {
     /// The pose of points about their centroid, with wide normals that no noise tilts, and from there with normals no wider than
-    /// the noise between the surfaces asks for: wide ones smooth relief away, and the surface with it.
-    fn solve_twice(mut self, arms: &[Vector3<f64>], start: Pose) -> Result<(Pose, Registration), StageError> {
+    /// the noise between the surfaces asks for: wide ones smooth relief away, and the surface with it. That noise is correlated
+    /// is seen where narrow normals leave no relief in the residuals: it asks for wider ones again.
+    fn solve_in_passes(mut self, arms: &[Vector3<f64>], start: Pose) -> Result<(Pose, Registration), StageError> {
         let mut points: Vec<Moving> = arms.iter().map(|arm| Moving { arm: *arm, ..Moving::default() }).collect();
-        let (pose, first) = self.solve(&mut points, start)?;
+        let (wide_pose, first) = self.solve(&mut points, start)?;
         if self.settings.method == Method::PointToPoint {
-            return Ok((pose, first));
+            return Ok((wide_pose, first));
         }
-        let noise_m = self.noise_m(&mut points, &pose);
-        let about = Neighbourhood::for_noise(noise_m / self.columns.spacing_m());
+        let white_m = self.white_noise_m(&mut points, &wide_pose);
+        let about = self.neighbourhood(white_m);
         if about == Neighbourhood::WIDEST {
-            return Ok((pose, first));
+            return Ok((wide_pose, first));
         }
-        self.finer = Some(Normals::new(self.target, about, arms.len()));
+        let (pose, second) = self.solve_with(about, &mut points, wide_pose)?;
+        let wider = self.neighbourhood(white_m.max(self.correlated_noise_m(&pose)));
+        let iterations = first.iterations + second.iterations;
+        if wider == about {
+            return Ok((pose, Registration { iterations, ..second }));
+        }
+        if wider == Neighbourhood::WIDEST {
+            return Ok((wide_pose, Registration { iterations, ..first }));
+        }
+        let (pose, third) = self.solve_with(wider, &mut points, pose)?;
+        Ok((pose, Registration { iterations: iterations + third.iterations, ..third }))
+    }
+
+    fn neighbourhood(&self, noise_m: f64) -> Neighbourhood {
+        let fitting = if self.settings.pairing == Pairing::InSpace { FITTING } else { 1.0 };
+        Neighbourhood::for_noise(fitting * noise_m / self.columns.spacing_m())
+    }
+
+    /// [`Fit::solve`] with other normals than those of the first pass.
+    fn solve_with(
+        &mut self,
+        about: Neighbourhood,
+        points: &mut [Moving],
+        start: Pose,
+    ) -> Result<(Pose, Registration), StageError> {
+        self.finer = None;
+        self.finer = Some(Normals::new(self.target, about, points.len()));
         points
             .par_iter_mut()
             .for_each(|point| point.normal = point.partner.place().and_then(|place| self.normal(place)));
-        let (pose, second) = self.solve(&mut points, pose)?;
-        Ok((pose, Registration { iterations: first.iterations + second.iterations, ..second }))
-    }
-
-    /// Robust standard deviation of the distances of pairs at a pose from the planes, metres; changes hardly add to it.
-    fn noise_m(&self, points: &mut [Moving], pose: &Pose) -> f64 {
-        let mut sizes = self.pair_all(pose, points);
-        sizes.retain(|size| !size.is_nan());
-        let fitting = if self.settings.pairing == Pairing::InSpace { FITTING } else { 1.0 };
-        fitting * NORMAL_MAD * median(&mut sizes).unwrap_or(0.0)
+        self.solve(points, start)
     }
 
     /// The pose of points about their centroid, from a pose near it.

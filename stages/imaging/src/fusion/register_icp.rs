@@ -46,7 +46,7 @@ params! {
         max_distance_m: Option<f64> = None; Range::Positive,
         /// Points of the source that are used, about (every n-th row and column).
         points: u32 = 40_000; Range::AtLeast(100.0),
-        /// Iterations at most, of each of the two passes.
+        /// Iterations at most, of each of the two or three passes.
         max_iterations: u32 = 50; Range::Between(1.0, 10_000.0),
         /// Directions with a smaller eigenvalue of the normal equations, as a share of the largest, are left alone. The
         /// default stands for slopes of 10 %: matching noise tilts a plane by some 4 %, and must not hold it in place.
@@ -60,7 +60,7 @@ pub struct RegisterIcp;
 impl Stage for RegisterIcp {
     type Params = RegisterIcpParams;
     const NAME: &'static str = "register-icp";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const PAGE: Page = Page::new(include_str!("register_icp.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("source", &[Kind::Surface, Kind::Raster], "The surface that moves; a raster holds elevations."),
@@ -69,7 +69,7 @@ impl Stage for RegisterIcp {
     const OUTPUTS: &'static [Port] = &[Port::one("transform", &[Kind::Transform], "target_from_source.")];
 
     fn memory_bytes(_: &Self::Params, inputs: &InputSizes) -> u64 {
-        // Normals of both passes and the search tree of one surface; only samples of the other are matched.
+        // Normals of two passes and the search tree of one surface; only samples of the other are matched.
         inputs.total() + inputs.total() * 3 / 4
     }
 

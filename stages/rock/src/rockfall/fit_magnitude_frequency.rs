@@ -21,6 +21,9 @@ params! {
     }
 }
 
+/// Volumes the law is fitted to from which on a choice of `V_min` by the volumes hardly makes its exponent too large.
+const MANY: usize = 100;
+
 /// Fits a power law N(>= V) = n (V / V_min)^-b to the volumes of an inventory.
 pub struct FitMagnitudeFrequency;
 
@@ -62,11 +65,12 @@ impl Stage for FitMagnitudeFrequency {
             return Ok(Outputs::of("fit", no_law(&volumes, params)).and("curve", curve_table(&volumes, None)));
         };
         if params.minimum_m3.is_none() {
-            context.note(
-                "V_min was chosen by the volumes themselves: the standard error is some 20 to 30 % too small for that, of few \
-                 tens of volumes more, and b some 10 % too large; give `minimum_m3` where it is known from which volume on \
-                 the survey misses none",
-            );
+            let of_few =
+                if law.count < MANY { "; of few tens of volumes more, and b is some 10 % too large" } else { "" };
+            context.note(format!(
+                "V_min was chosen by the volumes themselves: the standard error is some 20 to 30 % too small for that{of_few}. Give \
+                 `minimum_m3` where it is known from which volume on the survey misses none"
+            ));
         }
         context.metric("exponent", law.exponent, "1");
         context.metric("minimum", law.minimum, "m3");
@@ -185,16 +189,18 @@ mod tests {
 
     #[test]
     fn what_choosing_the_smallest_volume_does_to_the_error_is_told() {
-        let told = |with: &serde_json::Value| {
+        let told = |with: &serde_json::Value, count: u32, what: &str| {
             let host = TestHost::default();
-            let volumes = [("volumes", table((1..=50).map(|i| 2.0 / f64::from(i))))];
+            let volumes = [("volumes", table((1..=count).map(|i| 2.0 / f64::from(i))))];
             run_stage::<FitMagnitudeFrequency>(&host, with, &volumes).unwrap();
             let entries = host.entries.lock().unwrap();
             entries.iter().any(|entry| {
-                matches!(entry, rockface_core::Entry::Note { text } if text.contains("standard error") && text.contains("`minimum_m3`"))
+                matches!(entry, rockface_core::Entry::Note { text } if text.contains(what) && text.contains("`minimum_m3`"))
             })
         };
-        assert!(told(&json!({})) && !told(&json!({"minimum_m3": 0.04})));
+        assert!(told(&json!({}), 50, "standard error") && !told(&json!({"minimum_m3": 0.04}), 50, "standard error"));
+        let too_large = "b is some 10 % too large";
+        assert!(told(&json!({}), 50, too_large) && !told(&json!({}), 3000, too_large));
     }
 
     #[test]
