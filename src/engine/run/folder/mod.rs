@@ -1,6 +1,7 @@
 //! The run folder: readable names for outputs, the log, the manifest, and the shortcut around a run that would change nothing.
 
 mod files;
+mod headlines;
 mod lay_out;
 mod log;
 mod made;

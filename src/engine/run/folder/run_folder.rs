@@ -12,6 +12,7 @@ use serde_json::json;
 use tempfile::NamedTempFile;
 
 use super::files::{durable, failed, going_on, put, write_file};
+use super::headlines;
 use super::lay_out::{Laid, LayOut};
 use super::log::{LOG_FILE, Telling};
 use super::made::{self, Made};
@@ -230,7 +231,7 @@ impl Writer<'_> {
         let lay_out = || self.about.lay_out.lay_out(self.plan, self.summary, self.store, folder, self.stop);
         let laid = phase!("lay out", lay_out())?;
         let logs = self.logs()?;
-        let headlines = self.headlines(&logs);
+        let headlines = headlines::headlines(self.plan, &logs);
         let manifest = self.account(folder, &headlines, &logs, &laid)?;
         Ok(Filled { manifest, headlines, warnings: self.warnings(&logs), laid })
     }
@@ -343,58 +344,6 @@ impl Writer<'_> {
                 Ok(vec![Entry::Warning { text }])
             }
         }
-    }
-
-    /// By step: whether it is read, and only by targets that have no headline of their own, such as a picture or a table of what it found.
-    fn shown_by_ends(&self, logs: &[Vec<Entry>]) -> Vec<bool> {
-        let graph = &self.plan.graph;
-        let mut is_silent = vec![true; graph.steps.len()];
-        for (instance, entries) in logs.iter().enumerate() {
-            let speaks = entries.iter().any(|entry| matches!(entry, Entry::Headline { .. }));
-            is_silent[self.plan.instances[instance].step] &= !speaks;
-        }
-        let wanted = graph.wanted();
-        let mut readers: Vec<Vec<usize>> = vec![Vec::new(); graph.steps.len()];
-        for (number, step) in graph.steps.iter().enumerate().filter(|(number, _)| wanted[*number]) {
-            let sources = step.inputs.iter().flat_map(|(_, feed)| feed.sources());
-            sources.for_each(|source| readers[source.step].push(number));
-        }
-        let is_end = |reader: &usize| is_silent[*reader] && graph.targets.contains(reader);
-        readers.iter().map(|readers| !readers.is_empty() && readers.iter().all(is_end)).collect()
-    }
-
-    /// The results in a line each: what the target steps have to say, and those whose results only targets without a word show; first
-    /// those that nothing reads and that are expanded over the fewest axes, otherwise as written. What all instances of a step say alike is
-    /// said once.
-    fn headlines(&self, logs: &[Vec<Entry>]) -> Vec<String> {
-        let (graph, ends) = (&self.plan.graph, self.plan.graph.ends());
-        let shown_by_ends = self.shown_by_ends(logs);
-        let is_target = |instance: usize| self.plan.targets.binary_search(&instance).is_ok();
-        let mut found: Vec<(usize, usize, &str)> = Vec::new();
-        for (instance, entries) in logs.iter().enumerate() {
-            let step = self.plan.instances[instance].step;
-            if !is_target(instance) && !shown_by_ends[step] {
-                continue;
-            }
-            for entry in entries {
-                if let Entry::Headline { text } = entry {
-                    found.push((step, instance, text));
-                }
-            }
-        }
-        let rank = |step: usize| (!ends[step], graph.steps[step].axes.len(), graph.steps[step].written);
-        found.sort_by_key(|(step, instance, _)| (!is_target(*instance), rank(*step)));
-        let mut lines = Vec::new();
-        for group in found.chunk_by(|one, other| one.0 == other.0) {
-            let label = |instance: usize| self.plan.label(instance);
-            match group {
-                [(_, first, text), rest @ ..] if !rest.is_empty() && rest.iter().all(|(_, _, other)| other == text) => {
-                    lines.push(format!("{} and {} more: {text}", label(*first), rest.len()));
-                }
-                _ => lines.extend(group.iter().map(|(_, instance, text)| format!("{}: {text}", label(*instance)))),
-            }
-        }
-        lines
     }
 
     /// What instances warned of, each with its name.
