@@ -72,7 +72,7 @@ impl SubmitArgs {
         Ok(told)
     }
 
-    /// What only the one is told that writes the run folder.
+    /// The options for the one worker that writes the run folder.
     fn of_run(&self) -> Result<Vec<String>, CliError> {
         let runs = self.runs.as_deref().map(absolute).transpose()?;
         Ok(runs.into_iter().flat_map(|runs| ["--runs".to_owned(), runs]).collect())

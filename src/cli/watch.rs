@@ -60,7 +60,7 @@ impl WatchArgs {
         let is_manifest = pipeline.ends_with("run.json");
         let is_file = pipeline.is_file() && !is_manifest;
         let before = match self.places.find(&self.what) {
-            // A past run is told of without the store.
+            // A past run is shown without the store.
             Ok(run) if !is_file && run.manifest.pipeline.name != self.what => return self.past(&run),
             Err(fault) if is_manifest => return Err(fault),
             before => before,

@@ -261,7 +261,7 @@ fn a_run_is_watched_from_its_files_and_nothing_is_changed() {
         assert!(code == Some(0) && out.contains("ended ") && out.contains("failed 0; results in "), "{out}");
     }
     assert_eq!(starts(&house).values().sum::<usize>(), 4);
-    // A past run is told of without a store; of a pipeline, how it ended is said beside the fault.
+    // A past run is shown without a store; of a pipeline, how it ended is said beside the fault.
     let (code, out, err) = house.rockface(&["watch", "latest", "--store", "nowhere"]);
     assert!(code == Some(0) && out.contains("failed 0; results in "), "{out}{err}");
     let (code, out, err) = house.rockface(&["watch", "p.yaml", "--store", "nowhere"]);

@@ -9,7 +9,7 @@ const LEAST_IMPOSSIBLE_M: f32 = 100.0;
 const USUAL: [f32; 3] = [-9999.0, -32767.0, -32768.0];
 /// Numbers as large as this are the largest of 32 bits, rounded or not, or infinite.
 const LARGEST: f32 = 3.4e38;
-/// Cells whose values the isolation of a value is told from, at most.
+/// The most cells that a value is compared with to see whether it is isolated.
 const SAMPLE: usize = 100_000;
 /// A value is isolated where it is so many robust standard deviations from the median of all other values, ...
 const ISOLATED_SPREADS: f64 = 20.0;
@@ -66,13 +66,11 @@ fn is_usual(value: f32) -> bool {
 }
 
 fn is_isolated(suspect: f32, values: &[f32]) -> bool {
-    let is_other = |value: &&f32| !value.is_nan() && !is_usual(**value) && !is_same(**value, suspect);
-    let sample = values.iter().step_by(values.len().div_ceil(SAMPLE).max(1));
-    let mut others: Vec<f64> = sample.filter(is_other).map(|value| f64::from(*value)).collect();
-    let Some(median) = quantile::median(&mut others) else { return false };
-    others.iter_mut().for_each(|value| *value = (*value - median).abs());
-    let spread = marginal::NORMAL_MAD * quantile::median(&mut others).unwrap_or(0.0);
-    (f64::from(suspect) - median).abs() > ISOLATED_M.max(ISOLATED_SPREADS * spread)
+    let is_other = |value: &f32| !value.is_nan() && !is_usual(*value) && !is_same(*value, suspect);
+    let sample = values.iter().copied().step_by(values.len().div_ceil(SAMPLE).max(1));
+    let others: Vec<f32> = sample.filter(is_other).collect();
+    let Some(median) = quantile::median(&mut marginal::known(&others)) else { return false };
+    (f64::from(suspect) - median).abs() > ISOLATED_M.max(ISOLATED_SPREADS * marginal::nmad(&others))
 }
 
 /// A value as it is written in a pipeline.

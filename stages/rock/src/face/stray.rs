@@ -10,7 +10,7 @@ const LEFT_OUT: f64 = 2.5;
 const LEAST_SHARE: f64 = 0.75;
 /// Beyond so many extents a triangle is far away.
 const FAR: f64 = 10.0;
-/// Triangles that the extent is told from, at most.
+/// The most triangles that the extent is computed from.
 const SAMPLE: usize = 100_000;
 /// A triangle counts for no more than so many of median area, so a few long ones to a corner far away do not decide.
 const MOST_MEDIANS: f64 = 10.0;
@@ -32,7 +32,7 @@ pub struct Stray {
 
 /// Triangles with a corner ten times as far from the middle of the face as 99 % of its area are (less of a mesh of few triangles); `None` where there are none.
 ///
-/// The middle is the median of the centroids by area, coordinate by coordinate. Both are told from a sample of large meshes.
+/// The middle is the median of the centroids by area, coordinate by coordinate. Of large meshes both are those of a sample.
 pub fn stray(mesh: &Mesh) -> Option<Stray> {
     let corners = |triangle: &[u32; 3]| triangle.map(|corner| mesh.vertices[corner as usize]);
     let step = mesh.triangles.len().div_ceil(SAMPLE).max(1);
