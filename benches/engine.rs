@@ -145,9 +145,12 @@ fn yaml(arrows: &Arrows) -> String {
 /// A whole run without its folder; returns milliseconds and the number of steps that ran.
 fn run(folder: &Path, set: &[String]) -> (f64, usize) {
     let begun = Instant::now();
-    let text = std::fs::read_to_string(folder.join("p.yaml")).expect("the pipeline");
+    let path = folder.join("p.yaml");
+    let text = Pipeline::read_file(&path).expect("the pipeline");
     let overrides = Overrides { set: set.to_vec(), ..Overrides::default() };
-    let pipeline = Pipeline::parse(&text, "bench", "bench", folder.to_owned(), &overrides).expect("a right pipeline");
+    // As the program reads it: the tree of a long text is taken from the store.
+    let trees = rockface_cache::trees(&folder.join("store"));
+    let pipeline = Pipeline::of_read(&text, &path, &overrides, Some(&trees)).expect("a right pipeline");
     let store = Arc::new(Store::open(&folder.join("store")).expect("a store"));
     let mut plan = plan(&pipeline, &[], STAGES, &store).expect("a plan");
     let stop = Arc::new(AtomicBool::new(false));
