@@ -4,6 +4,8 @@ use clap::Args;
 use rockface_core::limits::raise_memory_limit;
 use rockface_engine::run::Options;
 
+use super::sizes::bytes_of;
+
 /// The greatest memory that is accepted, GiB; more is a typing error.
 const MEMORY_LIMIT_GIB: f64 = 1_048_576.0;
 
@@ -20,13 +22,13 @@ pub struct CapacityArgs {
 /// Memory of one process.
 #[derive(Debug, Args)]
 pub struct MemoryArgs {
-    /// Memory for values passed between steps and for running steps; values beyond it are spilled to disk [default: half of
-    /// the memory of the machine, or of the container].
+    /// Memory for values passed between steps and for running steps, in GiB or with a unit (500MB); values beyond it are
+    /// spilled to disk [default: half of the memory of the machine, or of the container].
     #[arg(long, value_name = "GiB", value_parser = memory, allow_hyphen_values = true)]
     memory: Option<Memory>,
 }
 
-/// A number of GiB as it was given, and the bytes in it.
+/// A size as it was given, and its bytes.
 #[derive(Debug, Clone)]
 struct Memory {
     text: String,
@@ -59,11 +61,11 @@ fn memory(text: &str) -> Result<Memory, String> {
     Ok(Memory { text: text.to_owned(), bytes: memory_bytes(text)? })
 }
 
-/// The bytes in a number of GiB. Zero is refused: every value would be spilled.
+/// The bytes of a size. Zero is refused: every value would be spilled.
 fn memory_bytes(text: &str) -> Result<usize, String> {
-    let gib: f64 = text.parse().map_err(|_| "give a number of GiB, such as 4 or 0.5".to_owned())?;
-    if gib > 0.0 && gib <= MEMORY_LIMIT_GIB {
-        Ok((gib * f64::from(1 << 30)) as usize)
+    let bytes = bytes_of(text)?;
+    if bytes > 0.0 && bytes <= MEMORY_LIMIT_GIB * f64::from(1 << 30) {
+        Ok(bytes as usize)
     } else {
         Err(format!("give a number of GiB above 0 and up to {MEMORY_LIMIT_GIB}"))
     }

@@ -10,6 +10,7 @@ use serde_json::json;
 use super::kept::Kept;
 use super::places::Places;
 use super::remote;
+use super::sizes::bytes_of;
 use super::store::url;
 use super::table::{self, Format, bytes};
 use super::{CliError, say};
@@ -33,9 +34,9 @@ pub struct GcArgs {
     /// Also remove records that were not used for this many days.
     #[arg(long, value_name = "DAYS", value_parser = non_negative, allow_hyphen_values = true)]
     max_age: Option<f64>,
-    /// Also remove the least recently used records until the outputs fit into this many GiB.
-    #[arg(long, value_name = "GiB", value_parser = non_negative, allow_hyphen_values = true)]
-    max_size: Option<f64>,
+    /// Also remove the least recently used records until the outputs fit into this many GiB, or a size with its unit (500GB).
+    #[arg(long, value_name = "GiB", value_parser = size, allow_hyphen_values = true)]
+    max_size: Option<u64>,
     /// List the blobs that would be removed, and remove nothing.
     #[arg(long)]
     dry_run: bool,
@@ -47,6 +48,12 @@ pub struct GcArgs {
 fn non_negative(text: &str) -> Result<f64, String> {
     let number: f64 = text.parse().map_err(|_| "give a number, such as 30 or 0.5".to_owned())?;
     if (0.0..=1e9).contains(&number) { Ok(number) } else { Err("give a number from 0 to 1e9".to_owned()) }
+}
+
+/// The bytes of a size that is not negative.
+fn size(text: &str) -> Result<u64, String> {
+    let bytes = bytes_of(text)?;
+    if bytes >= 0.0 { Ok(bytes as u64) } else { Err("give a size from 0 on".to_owned()) }
 }
 
 impl GcArgs {
@@ -73,7 +80,7 @@ impl GcArgs {
         let remote = remote::open(url, None, Use::Contents)?;
         let policy = RemoteGcPolicy {
             max_age_s: self.max_age.map(|days| (days * DAY_S) as u64),
-            max_bytes: self.max_size.map(|gib| (gib * f64::from(1 << 30)) as u64),
+            max_bytes: self.max_size,
             dry_run: self.dry_run,
         };
         let done = remote.collect(&policy, now_s())?;
@@ -127,7 +134,7 @@ impl GcArgs {
         let mut policy = GcPolicy {
             unnamed: self.unnamed,
             max_age_s: self.max_age.map(|days| (days * DAY_S) as u64),
-            max_bytes: self.max_size.map(|gib| (gib * f64::from(1 << 30)) as u64),
+            max_bytes: self.max_size,
             grace_s: GRACE_S,
             ..GcPolicy::default()
         };

@@ -5,6 +5,7 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use rockface_cache::{Digest, GcPolicy, RunNote, Store};
+use serde_json::Value;
 
 use super::submit::quoted;
 use super::{CliError, complain};
@@ -47,13 +48,19 @@ impl Kept<'_> {
     }
 
     /// Lets the notes on run folders leave that are of no use any more: those on folders that are gone, of runs that are not pinned and
-    /// finished long ago, where nothing that they name stays for their sake.
+    /// finished long ago, where nothing that they name stays for their sake. Notes by the keys of plans leave with their folders: they tell
+    /// where the results of a plan are, and nothing else.
     pub fn forget(&mut self, now_s: u64) {
         let is_old = |note: &RunNote| now_s.saturating_sub(note.finished_unix_s) > REMEMBERED_S;
         let is_useless = |note: &RunNote| self.policy.unnamed || !note.names_any(self.store);
         let is_past =
             |note: &&RunNote| !note.pinned && is_old(note) && !history::may_be_run(&note.folder) && is_useless(note);
         self.policy.forgotten = self.notes.iter().filter(is_past).cloned().collect();
+        let of_folders: BTreeSet<Digest> = self.notes.iter().map(RunNote::name).collect();
+        let is_outdated = |(key, note): &(Digest, Value)| {
+            !of_folders.contains(key) && folder_of(note).is_some_and(|folder| !history::may_be_run(&folder))
+        };
+        self.policy.outdated = self.store.memory().recalled_runs().into_iter().filter(is_outdated).collect();
     }
 
     /// All run folders that are there.
@@ -68,10 +75,9 @@ impl Kept<'_> {
             }
         }
         // Those that former versions noted have no note of their own.
-        for note in self.store.memory().recalled_runs() {
-            let folder = note.get("folder").and_then(serde_json::Value::as_str).map(PathBuf::from);
-            folders.extend(folder.filter(|folder| history::may_be_run(folder)));
-        }
+        let noted = self.store.memory().recalled_runs();
+        let noted = noted.iter().filter_map(|(_, note)| folder_of(note));
+        folders.extend(noted.filter(|folder| history::may_be_run(folder)));
         Ok(folders)
     }
 
@@ -159,4 +165,9 @@ impl Kept<'_> {
 
 fn records(count: usize) -> String {
     format!("{count} record{}", if count == 1 { "" } else { "s" })
+}
+
+/// The run folder that a note tells of.
+fn folder_of(note: &Value) -> Option<PathBuf> {
+    note.get("folder")?.as_str().map(PathBuf::from)
 }

@@ -27,6 +27,7 @@ mod runs;
 mod schema;
 mod shipped;
 mod signals;
+mod sizes;
 mod stages;
 mod store;
 mod submit;

@@ -233,3 +233,24 @@ fn old_notes_on_folders_that_are_gone_leave_with_a_collection() {
     gc(&["--unnamed"]);
     assert_eq!(noted(), ["pinned", "young", "there"]);
 }
+
+#[test]
+fn notes_by_the_key_of_a_plan_leave_with_their_folders() {
+    let house = aged(SMALL);
+    assert_eq!(house.rockface(&["run", "p.yaml", "--target", "dem", "--store", "shared"]).0, Some(0));
+    let run_folders = || -> Vec<String> {
+        let store = Store::open(&house.path("shared")).unwrap();
+        let of_folders: Vec<_> = store.memory().noted_folders().iter().map(RunNote::name).collect();
+        let notes = store.memory().recalled_runs().into_iter().filter(|(key, _)| !of_folders.contains(key));
+        notes.map(|(_, note)| note["folder"].as_str().unwrap().to_owned()).collect()
+    };
+    let there = run_folders();
+    assert_eq!(there.len(), 1, "that of the run");
+    let store = Store::open(&house.path("shared")).unwrap();
+    let gone = serde_json::json!({"folder": "/gone/for/good", "headlines": []});
+    store.memory().remember_run(&rockface_cache::Digest::of(b"a plan"), &gone).unwrap();
+    drop(store);
+    assert_eq!(run_folders().len(), 2);
+    assert_eq!(house.rockface(&["store", "gc", "--store", "shared"]).0, Some(0));
+    assert_eq!(run_folders(), there);
+}

@@ -3,6 +3,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::{SystemTime, UNIX_EPOCH};
 
+use serde_json::Value;
+
 use crate::error::StoreError;
 use crate::frame::Kind;
 use crate::memory::RunNote;
@@ -30,6 +32,8 @@ pub struct GcPolicy {
     pub grace_s: u64,
     /// Notes on run folders that leave, unless they were written anew meanwhile.
     pub forgotten: Vec<RunNote>,
+    /// Notes by the keys of plans that leave, unless they were written anew meanwhile.
+    pub outdated: Vec<(Digest, Value)>,
 }
 
 /// A blob that would be removed.
@@ -98,7 +102,7 @@ impl Store {
             noted: self.noted(),
         };
         plan.blobs.extend(self.orphans(&candidates, since_s)?);
-        plan.leaving = Leaving { notes: self.stamps_of(&policy.forgotten), ..self.as_it_is(&plan) };
+        plan.leaving = Leaving { notes: self.stamps_of(policy), ..self.as_it_is(&plan) };
         Ok(plan)
     }
 
@@ -119,15 +123,21 @@ impl Store {
         })
     }
 
-    /// The stamps of those notes that are the latest on their folders.
-    fn stamps_of(&self, notes: &[RunNote]) -> BTreeMap<Digest, u64> {
-        let stamp = |note: &RunNote| {
+    /// The stamps of those notes that are to leave and are still the latest under their names.
+    fn stamps_of(&self, policy: &GcPolicy) -> BTreeMap<Digest, u64> {
+        let memory = self.memory();
+        // Before the note is read: one that is written in between is another, and stays.
+        let stamp = |name: &Digest| self.journal().with_index(|index| index.stamp(Kind::Note, name));
+        let of_folder = |note: &RunNote| {
             let name = note.name();
-            let stamp = self.journal().with_index(|index| index.stamp(Kind::Note, &name))?;
-            // Not before: one that is written in between is another.
-            (self.memory().noted_folder(&note.folder).as_ref() == Some(note)).then_some((name, stamp))
+            let stamp = stamp(&name)?;
+            (memory.noted_folder(&note.folder).as_ref() == Some(note)).then_some((name, stamp))
         };
-        notes.iter().filter_map(stamp).collect()
+        let of_plan = |(name, note): &(Digest, Value)| {
+            let stamp = stamp(name)?;
+            (memory.recalled_run(name).as_ref() == Some(note)).then_some((*name, stamp))
+        };
+        policy.forgotten.iter().filter_map(of_folder).chain(policy.outdated.iter().filter_map(of_plan)).collect()
     }
 
     /// Every record, the longest unused first.

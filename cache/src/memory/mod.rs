@@ -59,10 +59,10 @@ impl Memory<'_> {
         self.payload(Kind::Note, plan_key)
     }
 
-    /// The latest notes on runs and on run folders, in the order of the keys of their plans.
-    pub fn recalled_runs(&self) -> Vec<Value> {
+    /// The latest notes on runs and on run folders, each under its key, in the order of these.
+    pub fn recalled_runs(&self) -> Vec<(Digest, Value)> {
         let keys = self.store.journal().with_index(|index| index.names(Kind::Note));
-        keys.iter().filter_map(|key| self.recalled_run(key)).collect()
+        keys.into_iter().filter_map(|key| Some((key, self.recalled_run(&key)?))).collect()
     }
 
     /// Keeps a note beside the record of a recipe, on what decides nothing of it; a later note replaces it.

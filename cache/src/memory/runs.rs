@@ -46,7 +46,7 @@ impl RunNote {
     }
 
     /// Under which name it is kept.
-    pub(crate) fn name(&self) -> Digest {
+    pub fn name(&self) -> Digest {
         name_of(&self.folder)
     }
 
@@ -141,7 +141,7 @@ mod tests {
         assert_eq!(store.memory().noted_folder(&one.folder), Some(pinned));
         // Versions that know only notes by the key of a plan find the folder in these too.
         let told = store.memory().recalled_runs();
-        let folders: Vec<&str> = told.iter().filter_map(|note| note["folder"].as_str()).collect();
+        let folders: Vec<&str> = told.iter().filter_map(|(_, note)| note["folder"].as_str()).collect();
         assert!(["/r/1", "/r/2", "/r/3"].iter().all(|folder| folders.contains(folder)), "{folders:?}");
     }
 
