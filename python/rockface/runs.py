@@ -9,7 +9,7 @@ import json
 import re
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime
 from functools import cached_property
 from pathlib import Path
@@ -62,6 +62,8 @@ class Step:
     """Files of its outputs by port, relative to the run folder, where they have names there."""
     warnings: Sequence[str] = ()
     """What it warned of."""
+    digests: Mapping[str, str] = field(default_factory=dict)
+    """BLAKE3 of its outputs by port."""
 
     @property
     def label(self) -> str:
@@ -86,6 +88,7 @@ class Step:
             (record.get("cost") or {}).get("wall_s"),
             record.get("paths", {}),
             record.get("warnings", []),
+            {port: output.get("digest", "") for port, output in (record.get("outputs") or {}).items()},
         )
 
 
@@ -272,13 +275,19 @@ class Run:
         return f"the run has no output `{output}`; there are {', '.join(near)}"
 
     def path(self, output: str) -> Path:
-        """The file of an output at one point, in the run folder."""
+        """The file of an output at one point, in the run folder.
+
+        Raises:
+            StoreError: the file there is not the output: it was changed, or has decayed.
+        """
         port, fitting = self._select(output)
         if len(fitting) > 1:
             raise KeyError(f"`{output}` is at {len(fitting)} points, {_listed(fitting)}: name one, step.port[axis=item]")
         file = self._file(fitting[0], port)
         if file is None:
             raise KeyError(f"`{output}` has no name in the run folder: `rockface export`, or run with outputs='all'")
+        if not _is_output(file, fitting[0].digests[port]):
+            raise StoreError(_changed(fitting[0], port, file) + f"; `run[{output!r}]` takes it from the store")
         return file
 
     def _file(self, step: Step, port: str) -> Path | None:
@@ -297,13 +306,18 @@ class Run:
     def artefact(self, step: Step, port: str) -> Artefact:
         """An output of a step instance, from the run folder or else from the store.
 
+        A file of the run folder that is not the output, by its BLAKE3, gives way to the store.
+
         Raises:
             StoreError: neither has it: it was not kept, or was collected.
         """
         kind = step.outputs[port]
         file = self._file(step, port)
+        changed = ""
         if file is not None:
-            return decode(kind, mapped(file))
+            if _is_output(file, step.digests[port]):
+                return decode(kind, mapped(file))
+            changed = _changed(step, port, file) + "; "
         label = f"{step.step}.{port}" + step.label.removeprefix(step.step)
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder) / "output"
@@ -311,7 +325,7 @@ class Run:
                 _program.call("export", str(self.folder), label, str(file), "--plain", "--store", str(self.store))
             except PipelineError as error:
                 # The run itself names the output: what is wrong is that the store has it no longer, or never had it.
-                raise StoreError(str(error)) from error
+                raise StoreError(changed + str(error)) from error
             return decode(kind, memoryview(file.read_bytes()))
 
     def table(self, *axes: str) -> Table:
@@ -482,6 +496,23 @@ def _typed(points: Iterable[Mapping[str, str]]) -> dict[str, dict[str, float | i
         return int if all(item.lstrip("+-").isdecimal() for item in items) else float
 
     return {axis: {item: kind(items)(item) for item in items} for axis, items in axes.items()}
+
+
+def _is_output(file: Path, digest: str) -> bool:
+    """Whether a file holds the output of this BLAKE3."""
+    try:
+        from blake3 import blake3
+    except ImportError:
+        import warnings
+
+        # Once, as Python tells a warning of one place.
+        warnings.warn("outputs are not compared with their BLAKE3: `pip install blake3`", RuntimeWarning, stacklevel=2)
+        return True
+    return bool(blake3(mapped(file)).hexdigest() == digest)
+
+
+def _changed(step: Step, port: str, file: Path) -> str:
+    return f"{file} is not the output {step.label}.{port} of the run any more (its BLAKE3 is another)"
 
 
 def _is_store(folder: Path) -> bool:

@@ -1,6 +1,7 @@
 """Running, planning and explaining from Python; errors are those of the program."""
 
 import os
+import shutil
 import signal
 import threading
 import time
@@ -299,6 +300,25 @@ def test_an_output_that_was_not_kept_is_an_error_of_the_store(folder):
         run["face.mesh"]
 
 
+def test_a_file_that_is_not_the_output_gives_way_to_the_store(folder):
+    text = "{rockface: 1, name: changed, steps: {face: {stage: synthesise-face, with: {spacing_m: 0.5}}, "
+    text += "dem: {stage: rasterise-dem, with: {cell_m: 0.5}, in: {surface: face.mesh}}}}"
+    (folder / "changed.yaml").write_text(text)
+    run = rockface.run("changed.yaml", progress=False)
+    true = run["dem.raster"].values
+    file = run.path("dem.raster")
+    other = bytearray(file.read_bytes())
+    other[len(other) // 2] ^= 1
+    file.unlink()
+    file.write_bytes(other)
+    np.testing.assert_array_equal(rockface.open(run.folder)["dem.raster"].values, true)
+    with pytest.raises(rockface.StoreError, match=r"raster.tif is not the output dem.raster.*takes it from the store"):
+        run.path("dem.raster")
+    shutil.rmtree(folder / ".rockface" / "store")
+    with pytest.raises(rockface.StoreError, match="is not the output"):
+        run["dem.raster"]
+
+
 def test_inventories_of_all_points_are_one_table(folder):
     text = """
 rockface: 1
@@ -353,7 +373,6 @@ def test_an_error_comes_out_of_a_pool_as_it_was():
 
 def test_a_manifest_of_a_stranger_shows_no_file_of_mine(folder, small):
     import json
-    import shutil
 
     run = folder / "runs" / "got"
     shutil.copytree(small.folder, run)
