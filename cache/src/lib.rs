@@ -39,7 +39,7 @@
 //! remotes/        records of remote places, as they were fetched
 //! ```
 
-#![cfg_attr(not(test), warn(clippy::print_stdout, clippy::print_stderr))]
+#![cfg_attr(not(test), warn(clippy::print_stdout, clippy::print_stderr, clippy::exit))]
 
 mod blobs;
 mod canonical;

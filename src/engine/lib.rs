@@ -2,6 +2,8 @@
 //!
 //! What it can compute is handed to it as a [`rockface_core::Registry`].
 
+#![cfg_attr(not(test), warn(clippy::print_stdout, clippy::print_stderr, clippy::exit))]
+
 /// Target of the spans that say where the time of a run goes, at level TRACE.
 pub const PHASE: &str = "rockface::phase";
 

@@ -1,5 +1,7 @@
 //! The registry of the stages of rockface, room by room.
 
+#![cfg_attr(not(test), warn(clippy::print_stdout, clippy::print_stderr, clippy::exit))]
+
 mod parts;
 
 use std::sync::LazyLock;

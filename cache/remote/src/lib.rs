@@ -3,6 +3,8 @@
 //! All that is asynchronous stays in this crate: one small runtime drives the requests, and each call blocks until its own is
 //! answered. Credentials come from the environment, under the names that the tools of each provider use.
 
+#![cfg_attr(not(test), warn(clippy::print_stdout, clippy::print_stderr, clippy::exit))]
+
 use std::collections::BTreeMap;
 use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};

@@ -20,6 +20,8 @@
 //! # Ok::<(), rockface_core::artefact::CodecError>(())
 //! ```
 
+#![cfg_attr(not(test), warn(clippy::print_stdout, clippy::print_stderr, clippy::exit))]
+
 mod any_number;
 pub mod artefact;
 pub mod crs;

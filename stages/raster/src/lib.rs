@@ -1,5 +1,7 @@
 //! Rasters and what turns surfaces into them: grids, frames, windows, cleaning, tables.
 
+#![cfg_attr(not(test), warn(clippy::print_stdout, clippy::print_stderr, clippy::exit))]
+
 pub mod cloud_making;
 pub mod columns;
 pub mod feature_rows;
