@@ -6,10 +6,12 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
+use std::sync::LazyLock;
 
 use rockface_cache::{Digest, Recipe};
+use rockface_core::artefact::{Artefact, Kind};
 
-use crate::lab::Bench;
+use crate::lab::{Bench, Ran};
 
 const SCENE: &str = include_str!("golden.yaml");
 const LIST: &str = "tests/house/golden.txt";
@@ -27,6 +29,14 @@ const NEED_FILES: [&str; 10] = [
     "import-table",
     "python",
 ];
+
+/// The scene, and what was made of it.
+static MADE: LazyLock<(Bench, Ran)> = LazyLock::new(|| {
+    let bench = Bench::rocks();
+    let ran = bench.run(SCENE, &[]);
+    assert!(!ran.summary.failed, "{:?}", ran.events.last());
+    (bench, ran)
+});
 
 /// What a stage made on the scene.
 #[derive(Default)]
@@ -57,9 +67,7 @@ fn changed_bytes_need_a_new_version() {
         println!("skipped: the pinned digests are those of x86_64");
         return;
     }
-    let bench = Bench::rocks();
-    let ran = bench.run(SCENE, &[]);
-    assert!(!ran.summary.failed, "{:?}", ran.events.last());
+    let (bench, ran) = &*MADE;
     let mut made: BTreeMap<&str, Made> = BTreeMap::new();
     for (instance, result) in ran.summary.instances.iter().enumerate() {
         let (label, of_stage) =
@@ -120,4 +128,56 @@ fn a_list_is_not_blessed_where_a_version_was_forgotten() {
     for sound in ["cut 1 q a", "cut 2 q z", "cut 1 r z", "new 1 q z"] {
         assert!(!is_unversioned(sound, &pinned), "{sound}");
     }
+}
+
+/// Stages whose columns have a page: what people open in other programs most.
+const EXPLAINED: [&str; 7] = [
+    "remove-blocks",
+    "detect-raster",
+    "detect-m3c2",
+    "detect-voxels",
+    "score-detections",
+    "describe-noise",
+    "test-acceptance",
+];
+
+/// Whether the page of columns has a name in code; coordinates along Y and Z stand with that along X.
+fn is_explained(page: &str, column: &str) -> bool {
+    let has = |name: &str| page.contains(&format!("`{name}`"));
+    let along_x = column.replace("_y_m", "_x_m").replace("_z_m", "_x_m");
+    let of_axis = column.strip_suffix("_y").or(column.strip_suffix("_z")).map(|stem| format!("{stem}_x"));
+    let of_group = |group: &&str| column.strip_suffix(group).is_some_and(|stem| has(&format!("{stem}marginal")));
+    let is_of_group =
+        ["variogram", "spectrum", "roughness"].iter().any(of_group) || column.starts_with("contribution_");
+    is_of_group || has(column) || has(&along_x) || of_axis.is_some_and(|name| has(&name)) || column.starts_with("p_")
+}
+
+#[test]
+fn every_column_that_people_open_is_explained() {
+    let (bench, ran) = &*MADE;
+    let page = include_str!("../../docs/reference/columns.md");
+    let mut missing = BTreeSet::new();
+    for (instance, result) in ran.summary.instances.iter().enumerate() {
+        let step = ran.plan.step(instance);
+        let axes: Vec<&str> = ran.plan.point(instance).keys().map(AsRef::as_ref).collect();
+        if !EXPLAINED.contains(&step.stage.name()) {
+            continue;
+        }
+        for (port, output) in &result.outcome.as_ref().unwrap().outputs {
+            let columns = match output.kind.parse::<Kind>() {
+                Ok(kind @ (Kind::Table | Kind::Inventory)) => {
+                    match Artefact::decode(kind, &bench.store.get(&output.digest).unwrap()).unwrap() {
+                        Artefact::Table(table) => table.columns,
+                        Artefact::Inventory(inventory) => inventory.columns,
+                        _ => Vec::new(),
+                    }
+                }
+                _ => Vec::new(),
+            };
+            let unknown =
+                columns.into_iter().filter(|column| !is_explained(page, column) && !axes.contains(&&**column));
+            missing.extend(unknown.map(|column| format!("{}.{port}: {column}", step.stage.name())));
+        }
+    }
+    assert!(missing.is_empty(), "docs/reference/columns.md says nothing of {missing:#?}");
 }
