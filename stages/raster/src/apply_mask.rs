@@ -247,4 +247,20 @@ mod tests {
         mask.grid.left_m = 0.5;
         assert!(kept_cells(&json!({}), &mask).unwrap_err().message.contains("left 0.5 m"));
     }
+
+    /// A byte or a word has no way to say that there is no value.
+    #[test]
+    fn a_raster_of_bytes_or_words_that_gets_gaps_becomes_one_of_floats() {
+        let sample_under = |sample: Sample, mask: [f32; 4]| {
+            let raster = Raster { sample, ..Raster::single(GRID, Frame::Wall, "mask", "m", vec![1.0; 4]) };
+            let inputs: [(&str, Artefact); 2] = [("raster", raster.into()), ("mask", stack(&[("m", mask)]).into())];
+            let outputs = run_stage::<ApplyMask>(&TestHost::default(), &json!({}), &inputs).unwrap().into_inner();
+            let Artefact::Raster(masked) = &outputs["raster"] else { panic!("a raster comes out") };
+            masked.sample
+        };
+        for sample in [Sample::Byte, Sample::Word] {
+            assert_eq!(sample_under(sample, [1.0, f32::NAN, 1.0, 1.0]), Sample::Float);
+            assert_eq!(sample_under(sample, [1.0; 4]), sample, "without a gap it stays");
+        }
+    }
 }

@@ -78,4 +78,22 @@ mod tests {
         let error = run_stage::<FilterOutliers>(&host, &with, &[("raster", large.into())]).unwrap_err();
         assert!(error.message.contains("`d`"));
     }
+
+    /// A byte or a word has no way to say that there is no value.
+    #[test]
+    fn a_raster_of_bytes_or_words_that_gets_gaps_becomes_one_of_floats() {
+        let grid = Grid { columns: 2, rows: 1, cell_m: 1.0, left_m: 0.0, top_m: 0.0 };
+        let sample_within = |sample: Sample, max_abs_m: f64| {
+            let raster = Raster { sample, ..Raster::single(grid, Frame::Wall, "difference", "d", vec![1.0, 200.0]) };
+            let with = json!({"max_abs_m": max_abs_m});
+            let outputs = run_stage::<FilterOutliers>(&TestHost::default(), &with, &[("raster", raster.into())]);
+            let outputs = outputs.unwrap().into_inner();
+            let Artefact::Raster(filtered) = &outputs["raster"] else { panic!("a raster comes out") };
+            filtered.sample
+        };
+        for sample in [Sample::Byte, Sample::Word] {
+            assert_eq!(sample_within(sample, 100.0), Sample::Float);
+            assert_eq!(sample_within(sample, 300.0), sample, "without an outlier it stays");
+        }
+    }
 }

@@ -110,4 +110,15 @@ mod tests {
         moved.grid.left_m = 0.3;
         assert!(medians(&[stack(&[[1.0, 2.0]]), moved], &json!({})).is_err());
     }
+
+    #[test]
+    fn different_quantities_or_frames_are_refused() {
+        let elevation = stack(&[[1.0, 2.0]]);
+        let difference = Raster { quantity: "difference".to_owned(), ..elevation.clone() };
+        let told = medians(&[elevation.clone(), difference], &json!({})).unwrap_err().message;
+        assert!(told.contains("`elevation`") && told.contains("`difference`"), "{told}");
+        let world = Raster { frame: Frame::World, ..elevation.clone() };
+        let told = medians(&[elevation, world], &json!({})).unwrap_err().message;
+        assert!(told.contains("wall frame") && told.contains("world frame"), "{told}");
+    }
 }

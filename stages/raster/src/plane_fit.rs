@@ -295,4 +295,13 @@ mod tests {
         assert_eq!((source, axes), (UpSource::Fallback, Matrix3::identity()));
         assert!(wall_axes(&Vector3::z(), &Vector3::z(), &Vector3::z()).is_none());
     }
+
+    #[test]
+    fn up_is_taken_from_20_degrees_off_the_normal_on() {
+        let source = |off_deg: f64| {
+            let (sine, cosine) = portable_math::sincos(off_deg.to_radians());
+            wall_axes(&Vector3::z(), &Vector3::new(sine, 0.0, cosine), &Vector3::y()).unwrap().1
+        };
+        assert_eq!([19.9, 20.1].map(source), [UpSource::Fallback, UpSource::Up]);
+    }
 }

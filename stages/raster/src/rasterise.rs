@@ -95,7 +95,8 @@ pub fn mean(shape: Shape, moved: Option<&Moved>, grid: &Grid, minimum_points: u3
 /// The cell of a point and its Z; a cell that does not exist for points outside.
 #[inline]
 pub(super) fn place(grid: &Grid, [x, y, z]: [f64; 3]) -> (u32, f64) {
-    // A cell has its left and its lower edge. Cutting off is rounding down where there is no sign, and needs no call.
+    // A cell has its left and its lower edge, and not its upper one: `grid_around` rounds down to whole cells in X and in Y, so that
+    // every point it is made around has a cell. Cutting off is rounding down where there is no sign, and needs no call.
     let (column, row) = ((x - grid.left_m) / grid.cell_m, (grid.top_m - y) / grid.cell_m);
     if column >= 0.0 && column < grid.columns as f64 && row > 0.0 && row <= grid.rows as f64 && !z.is_nan() {
         let cut = row as u32;

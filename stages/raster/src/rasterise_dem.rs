@@ -311,6 +311,24 @@ mod tests {
     }
 
     #[test]
+    fn gaps_are_warned_of_from_a_tenth_of_the_filled_cells_on() {
+        // One row of cells, with gaps after its first ones.
+        let warnings = |filled: usize, gaps: usize| {
+            let cell = |gaps_first: usize| if gaps_first < 2 * gaps && gaps_first % 2 == 1 { f32::NAN } else { 1.0 };
+            let values: Vec<f32> = (0..filled + gaps).map(cell).collect();
+            let host = TestHost::default();
+            warn_of_scattered_gaps(&values, values.len(), 2, &Context::new(&host));
+            host.warnings()
+        };
+        assert_eq!(warnings(21, 2), Vec::<String>::new(), "9.5 %");
+        let told = warnings(19, 2);
+        assert!(
+            told.len() == 1 && told[0].starts_with("10 % of the cells") && told[0].contains("less than 2 points"),
+            "{told:?}"
+        );
+    }
+
+    #[test]
     fn a_cloud_has_no_triangles_to_interpolate_in() {
         let cloud = rockface_core::artefact::Cloud::new(Frame::Wall, vec![[0.1, 0.1, 0.1], [0.2, 0.2, 0.2]]);
         for with in [json!({"method": "tin"}), json!({"empty_cells": "interpolate"})] {

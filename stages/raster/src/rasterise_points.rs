@@ -89,4 +89,13 @@ mod tests {
         assert!(same(&nearest(shape, None, &grid, 2), &[9.0, 3.0, nan, nan]));
         assert!(same(&counts(shape, None, &grid), &[4.0, 3.0, 1.0, 0.0]));
     }
+
+    #[test]
+    fn of_points_equally_near_to_the_centre_the_first_counts() {
+        let grid = Grid { columns: 1, rows: 1, cell_m: 1.0, left_m: 0.0, top_m: 1.0 };
+        let of = |points: Vec<[f64; 3]>| nearest(Shape::Cloud(&Cloud::new(Frame::Wall, points)), None, &grid, 1);
+        let (left, right) = ([0.25, 0.5, 1.0], [0.75, 0.5, 2.0]);
+        assert_eq!(of(vec![left, right]), [1.0]);
+        assert_eq!(of(vec![right, left]), [2.0]);
+    }
 }

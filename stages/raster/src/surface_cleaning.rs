@@ -233,3 +233,36 @@ fn remove_unused_points(surface: &mut Surface) -> usize {
     };
     surface.points.par_chunks_mut(width).enumerate().map(clean_row).sum()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rockface_core::artefact::{Frame, Grid};
+
+    const GRID: Grid = Grid { columns: 2, rows: 2, cell_m: 1.0, left_m: 10.0, top_m: 5.0 };
+
+    fn rules(mask: &Raster) -> Rules<'_> {
+        Rules { min_area_m2: 0.0, window_m: None, mask: Some(mask), min_component_triangles: 1 }
+    }
+
+    #[test]
+    fn cells_of_the_mask_that_are_0_or_empty_take_the_points_over_them_away() {
+        let values = vec![1.0, 0.0, f32::NAN, -2.0];
+        let mask = Raster::single(GRID, Frame::Wall, "mask", "mask", values);
+        let rules = rules(&mask);
+        let at_centres = [[10.5, 4.5], [11.5, 4.5], [10.5, 3.5], [11.5, 3.5]];
+        assert_eq!(at_centres.map(|at| rules.in_mask(at)), [true, false, false, true]);
+    }
+
+    #[test]
+    fn a_cell_of_the_mask_has_its_left_and_its_upper_edge() {
+        let mask = Raster::single(GRID, Frame::Wall, "mask", "mask", vec![1.0; 4]);
+        let rules = rules(&mask);
+        for (at, inside) in [([10.0, 5.0], true), ([12.0, 4.0], false), ([11.0, 3.0], false), ([9.999, 4.0], false)] {
+            assert_eq!(rules.in_mask(at), inside, "{at:?}");
+        }
+        assert!(!rules.in_mask([11.0, 5.001]) && !rules.in_mask([f64::NAN, 4.0]));
+        let upper = Raster::single(GRID, Frame::Wall, "mask", "mask", vec![1.0, 1.0, 0.0, 0.0]);
+        assert!(!self::rules(&upper).in_mask([11.0, 4.0]), "the edge between two rows is of the lower one");
+    }
+}

@@ -228,4 +228,39 @@ mod tests {
         let none = distances([&clouds[0], &clouds[1]], &cores, &scales);
         assert!(none.iter().flatten().all(|found| found.distance_m.is_nan() && found.points[0] > 10.0));
     }
+
+    /// The share of the middle one of 3 x 3 core points: those to the left and right go apart by a share of their distance on
+    /// the way, and the line between the two others is at an angle with this sine to theirs.
+    fn middle_share(apart: f64, sine: f64) -> f64 {
+        let grid = Grid { columns: 3, rows: 3, cell_m: 1.0, left_m: -1.5, top_m: 1.5 };
+        let cosine = (1.0 - sine * sine).sqrt();
+        let found = |core: [f64; 3], normal: [f64; 3]| {
+            Some(Distance { core, normal, distance_m: apart, limit_m: 0.1, spreads_m: [0.0; 2], points: [9.0; 2] })
+        };
+        let mut distances = vec![None; 9];
+        distances[1] = found([cosine, sine, 0.0], [0.0, 0.0, 1.0]);
+        distances[3] = found([-1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]);
+        distances[4] = found([0.0; 3], [0.0, 0.0, 1.0]);
+        distances[5] = found([1.0, 0.0, 0.0], [1.0, 0.0, 0.0]);
+        distances[7] = found([-cosine, -sine, 0.0], [0.0, 0.0, 1.0]);
+        let cores: Vec<_> = distances.iter().map(|found| found.as_ref().map(|found| found.core)).collect();
+        area_share(&distances, 4, &CoreCells::new(&cores, &grid, 0.5))
+    }
+
+    #[test]
+    fn an_area_changes_on_its_way_by_no_more_than_three_times() {
+        // The width is 1 + t apart of what it was, and the share its mean over t.
+        for (apart, share) in [(0.0, 1.0), (2.0, 2.0), (3.9, 2.95), (4.1, 3.0), (-7.9, -2.95), (-8.1, -3.0)] {
+            let found = middle_share(apart, 1.0);
+            assert!((found - share).abs() < 1e-12, "{apart}: {found}");
+        }
+    }
+
+    #[test]
+    fn neighbours_about_on_one_line_tell_nothing_of_an_area() {
+        for (sine, share) in [(0.21, 2.0), (0.19, 1.0)] {
+            let found = middle_share(2.0, sine);
+            assert!((found - share).abs() < 1e-12, "{sine}: {found}");
+        }
+    }
 }

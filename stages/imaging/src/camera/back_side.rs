@@ -26,3 +26,25 @@ pub fn shows_back(camera: &Camera, mesh: &Mesh) -> bool {
     }
     facing < FRONT_SHARE * seen
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rockface_core::artefact::Frame;
+    use rockface_core::testing::{image_at, small_sensor};
+
+    #[test]
+    fn an_image_in_which_less_than_a_twentieth_of_the_triangles_face_it_shows_the_back() {
+        let vertices = vec![[-0.5, -0.5, 0.0], [0.5, -0.5, 0.0], [0.0, 0.5, 0.0]];
+        let sensor = small_sensor();
+        let is_back = |facing: usize, height_m: f64| {
+            let triangle = |i: usize| if i < facing { [0, 1, 2] } else { [0, 2, 1] };
+            let triangles = (0..100).map(triangle).collect();
+            let mesh = Mesh { frame: Frame::Wall, vertices: vertices.clone(), triangles, colours: Vec::new() };
+            let image = image_at("above", [0.0, 0.0, height_m], [0.0; 3]);
+            shows_back(&Camera::new(&sensor, &image), &mesh)
+        };
+        assert_eq!([0, 4, 6, 100].map(|facing| is_back(facing, 10.0)), [true, true, false, false]);
+        assert!(!is_back(0, -10.0), "an image without the surface does not show its back");
+    }
+}

@@ -178,4 +178,17 @@ mod tests {
         };
         assert_eq!(bytes(1), bytes(3));
     }
+
+    #[test]
+    fn many_triangles_cut_at_steps_are_warned_of() {
+        let warnings = |steps: usize| {
+            let host = TestHost::default();
+            let joined = Joined { triangles: 1000 - steps, steps, grazing: 0 };
+            warn_of_holes(&rockface_core::Context::new(&host), &joined);
+            host.warnings()
+        };
+        assert_eq!(warnings(9), Vec::<String>::new());
+        let told = warnings(11);
+        assert!(told.len() == 1 && told[0].starts_with("1.1 % of the triangles") && told[0].contains("`step_factor`"));
+    }
 }

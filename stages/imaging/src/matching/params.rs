@@ -177,3 +177,22 @@ impl Matching {
         Ok((rms_px > DOUBTFUL_Y_PARALLAX_PX).then(|| format!("{finding}; a real matcher would lose precision")))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+    use rockface_core::params::ParamType;
+
+    #[test]
+    fn y_parallax_is_doubtful_beyond_half_a_pixel_and_refused_beyond_what_is_allowed() {
+        let matching = Matching::decode(&json!({"max_y_parallax_px": 3.0})).unwrap();
+        let judge = |rms_px: f64| matching.judge_y_parallax("a+b", rms_px);
+        assert_eq!(judge(0.49).unwrap(), None);
+        assert!(judge(0.51).unwrap().unwrap().contains("pair `a+b`: the rms y-parallax is 0.51 px"));
+        assert!(judge(2.99).unwrap().is_some());
+        let refused = judge(3.01).unwrap_err();
+        assert!(refused.message.contains("3 px are allowed") && refused.hint.unwrap().contains("max_y_parallax_px"));
+    }
+}

@@ -121,3 +121,26 @@ impl<'a> Views<'a> {
         (!depths.is_empty()).then(|| (shared / seen as f64, depths.iter().sum::<f64>() / shared))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rockface_core::artefact::Frame;
+    use rockface_core::testing::{image_at, small_sensor};
+
+    /// Images that look along -Z from 1 m apart, the baseline at an angle with this sine to the view.
+    fn pair(sine: f64) -> Result<Pair, NoPair> {
+        let second = image_at("second", [sine, 0.0, 20.0 + (1.0 - sine * sine).sqrt()], [0.0; 3]);
+        let images = vec![image_at("first", [0.0, 0.0, 20.0], [0.0; 3]), second];
+        let cameras = Cameras { frame: Frame::Wall, sensors: vec![small_sensor()], images };
+        Views::new(&cameras, &[Vector3::zeros()]).pair(0, 1)
+    }
+
+    #[test]
+    fn images_that_look_along_their_baseline_are_no_pair() {
+        assert_eq!(pair(0.09).unwrap_err(), NoPair::Forward);
+        let found = pair(0.11).unwrap();
+        assert!((found.baseline_m - 1.0).abs() < 1e-12 && (found.overlap - 1.0).abs() < 1e-12, "{found:?}");
+        assert_eq!(found.name, "first+second");
+    }
+}

@@ -7,6 +7,7 @@ use super::*;
 use crate::plane_fit;
 use rockface_core::artefact::{Frame, Mesh, Surface, Transform};
 use rockface_core::format::ply;
+use rockface_core::numerics::portable_math;
 
 fn mesh(vertices: Vec<[f64; 3]>, triangles: Vec<[u32; 3]>) -> Mesh {
     Mesh { frame: Frame::Wall, vertices, triangles, colours: Vec::new() }
@@ -33,6 +34,44 @@ fn a_plane_is_exact_to_single_precision_without_seams() {
         let (x, y) = grid.centre(cell / grid.columns, cell % grid.columns);
         assert!((f64::from(*value) - plane(x, y)).abs() <= 8e-6, "({x}, {y}): {value}");
     }
+}
+
+/// The middle of a cell on the edge of two triangles, at any angle: rounding puts it outside of both here and there.
+#[test]
+fn a_cell_centre_on_the_seam_of_two_triangles_has_a_value_and_one_beside_them_has_none() {
+    let grid = grid_of_window([0.3, 0.4, 0.7, 0.8], 0.1).unwrap();
+    let (x, y) = grid.centre(0, 0);
+    let seam = |step: u32, aside_m: f64| {
+        let (sine, cosine) = portable_math::sincos(f64::from(step) * 0.01);
+        let at = |along_m: f64, across_m: f64| {
+            [x + along_m * cosine - across_m * sine, y + along_m * sine + across_m * cosine, 5.0]
+        };
+        let vertices = vec![at(-0.3, aside_m), at(0.7, aside_m), at(0.1, 0.9), at(-0.1, -0.9)];
+        // Every corner comes first in turn: rounding differs by what the others are measured from.
+        let turned = |mut triangle: [u32; 3], by: u32| {
+            triangle.rotate_left(by as usize % 3);
+            triangle
+        };
+        let [one, other] = [turned([0, 1, 2], step), turned([1, 0, 3], step / 3)];
+        [vec![one, other], vec![one]].map(|triangles| {
+            let face = mesh(vertices.clone(), triangles);
+            tin(Shape::Mesh(&face), None, &grid)[0]
+        })
+    };
+    for step in 0..600 {
+        assert_eq!(seam(step, 0.0)[0], 5.0, "a seam at {step} hundredths of a radian");
+        assert!(seam(step, 5e-9)[1].is_nan(), "a few nanometres beside the edge, at {step}");
+    }
+}
+
+#[test]
+fn a_grid_of_too_many_cells_is_refused_with_its_size_and_ways_out() {
+    let told = grid_of_window([0.0, 20.0, 0.0, 10.0], 0.001).unwrap_err().message;
+    assert!(told.contains("2.000e4 columns and 1.000e4 rows of 1.000e-3 m"), "{told}");
+    assert!(told.contains("more than 1.5e8 cells"), "{told}");
+    assert!(told.contains("`unit_m`") && told.contains("`min_piece_triangles`"), "{told}");
+    assert!(grid_of_window([0.0, 15.0, 0.0, 10.0], 0.001).is_ok(), "as many as it may have");
+    assert!(grid_of_window([0.0, 0.0, 0.0, 10.0], 1.0).unwrap_err().message.contains("has none"));
 }
 
 #[test]

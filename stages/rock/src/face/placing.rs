@@ -131,4 +131,21 @@ mod tests {
         }
         assert_eq!(warning(&Settled::metres(), &[]), None);
     }
+
+    #[test]
+    fn a_face_in_degrees_is_narrow_and_high_for_its_width() {
+        let warned = |width: f64, height_m: f64| {
+            let points = [[11.0, 47.5, 400.0], [11.0 + width, 47.5, 400.0 + height_m]];
+            warning(&Settled::metres(), &points).is_some()
+        };
+        // At most a twentieth of a degree wide, and 100 times as many metres high as degrees wide.
+        assert_eq!([warned(0.049, 900.0), warned(0.051, 900.0)], [true, false]);
+        assert_eq!([warned(0.04, 4.1), warned(0.04, 3.9)], [true, false]);
+    }
+
+    #[test]
+    fn heights_of_more_than_ten_kilometres_are_warned_of() {
+        let warned = |z: f64| height_warning(Some([451_000.0, 5_512_000.0, z])).is_some();
+        assert_eq!([9_999.0, 10_001.0, -10_001.0].map(warned), [false, true, true]);
+    }
 }

@@ -113,4 +113,12 @@ mod tests {
             assert_eq!(rounding(&points), None);
         }
     }
+
+    #[test]
+    fn single_precision_is_told_from_steps_of_a_millimetre_on() {
+        // Steps are 0.98 mm up to 16384 m and twice as much beyond.
+        let step_at = |x: f32| rounding(&[[f64::from(x), 0.0, 0.0]; 3]).map(|found| found.step_m);
+        assert_eq!(step_at(16_383.123), None);
+        assert_eq!(step_at(16_385.123), Some(0.001_953_125));
+    }
 }

@@ -131,4 +131,19 @@ mod tests {
         assert_eq!(stray(&Mesh { triangles: vec![[0, 1, 41]], ..face() }), None, "one triangle");
         assert_eq!(stray(&Mesh { triangles: Vec::new(), ..face() }), None);
     }
+
+    #[test]
+    fn a_piece_is_far_away_beyond_ten_extents() {
+        let with_piece_at = |beyond_m: f64| {
+            let mut mesh = height_mesh(40, [-10.0, 10.0, -5.0, 5.0], |_, _| 0.0);
+            let first = mesh.vertices.len() as u32;
+            mesh.vertices.extend([[beyond_m, 0.0, 0.0], [beyond_m, 0.1, 0.0], [beyond_m, 0.0, 0.1]]);
+            mesh.triangles.push([first, first + 1, first + 2]);
+            stray(&mesh)
+        };
+        let extent_m = with_piece_at(1000.0).unwrap().extent_m;
+        assert!((10.0..11.2).contains(&extent_m), "nearly half the diagonal of 20 x 10 m: {extent_m}");
+        assert_eq!(with_piece_at(9.8 * extent_m), None);
+        assert_eq!(with_piece_at(10.2 * extent_m).unwrap().triangles, 1);
+    }
 }

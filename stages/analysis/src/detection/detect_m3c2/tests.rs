@@ -138,3 +138,27 @@ fn many_cells_that_no_core_point_reaches_are_warned_of_with_a_spacing() {
         "{told}"
     );
 }
+
+/// A core point in the middle of a cell of 1 m, 2 m of loss along a normal.
+fn one_core(normal: [f64; 3]) -> Distance {
+    Distance { core: [0.5, 0.5, 10.0], normal, distance_m: -2.0, limit_m: 0.5, spreads_m: [0.0; 2], points: [9.0; 2] }
+}
+
+#[test]
+fn cells_of_faces_along_the_view_count_as_no_steeper_than_five_times_their_plan() {
+    let grid = Grid { columns: 1, rows: 1, cell_m: 1.0, left_m: 0.0, top_m: 1.0 };
+    let volume = |found: Distance| {
+        let cells = CoreCells::new(&[Some(found.core)], &grid, 0.5);
+        cluster(&grid, &[0], &[Some(found)], &cells, |found| found.limit_m).volume_m3
+    };
+    // 3 m along X, at a normal of (0.6, 0, 0.8) the plane falls by 3 x 0.6 / 0.8 m.
+    let z_beside = |normal: [f64; 3]| beside(&one_core(normal), (3.5, 0.5))[2];
+    for (normal, volume_m3, z_m) in
+        [([0.6, 0.0, 0.8], 2.0 / 0.8, 7.75), ([0.96, 0.0, 0.28], 2.0 / 0.28, 10.0 - 2.88 / 0.28)]
+    {
+        assert!((volume(one_core(normal)) - volume_m3).abs() < 1e-9 && (z_beside(normal) - z_m).abs() < 1e-9);
+    }
+    let steep = [0.995, 0.0, 0.1];
+    assert!((volume(one_core(steep)) - 10.0).abs() < 1e-9, "{}", volume(one_core(steep)));
+    assert!((z_beside(steep) - (10.0 - 3.0 * 0.995 / 0.2)).abs() < 1e-9, "{}", z_beside(steep));
+}

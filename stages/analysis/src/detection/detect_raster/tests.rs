@@ -170,3 +170,21 @@ fn the_deviation_of_a_volume_does_not_depend_on_how_many_of_them_make_the_limit(
     assert_eq!((one, other), (1, 1));
     assert!((at_two / at_three - 1.0).abs() < 0.02, "{at_two} {at_three}");
 }
+
+/// A loss of 10 x `rows` cells with so many cells without a value above it and then beside it.
+fn missing_warned(rows: usize, missing: usize) -> bool {
+    let mut difference = scene(&[([4, 14, 2, 2 + rows], -0.1)]);
+    let above = (3..15).map(|column| 20 + column);
+    let beside = (2..12).map(|row| row * 20 + 3);
+    above.chain(beside).take(missing).for_each(|cell| difference.bands[0].values[cell] = f32::NAN);
+    let host = TestHost::default();
+    run_stage::<DetectRaster>(&host, &json!({}), &[("difference", difference.into())]).unwrap();
+    host.warnings().iter().any(|text| text.contains("cells without a value touch the"))
+}
+
+#[test]
+fn cells_without_a_value_around_what_was_found_are_warned_of_beyond_a_share() {
+    // 15 % of 80 cells are 12; of 20 cells it takes 10.
+    assert_eq!([12, 13].map(|missing| missing_warned(8, missing)), [false, true]);
+    assert_eq!([9, 10].map(|missing| missing_warned(2, missing)), [false, true]);
+}

@@ -133,16 +133,21 @@ fn a_focal_length_in_millimetres_is_warned_of() {
     assert!(warnings(b"1 PINHOLE 6000 4000 5000 5000 3000 2000").is_empty());
     let found = warnings(b"1 PINHOLE 6000 4000 35 35 3000 2000");
     assert!(found.len() == 1 && found[0].contains("f = 35 px for a width of 6000 px"), "{found:?}");
+    // 0.3 of the width.
+    assert!(warnings(b"1 PINHOLE 6000 4000 1801 1801 3000 2000").is_empty());
+    assert_eq!(warnings(b"1 PINHOLE 6000 4000 1799 1799 3000 2000").len(), 1);
 }
 
 #[test]
 fn a_sensor_larger_than_any_is_refused() {
-    let files: [(&str, &[u8]); 2] = [
-        ("cameras.txt", b"1 PINHOLE 4000000000 4000 5000 5000 3000 2000"),
-        ("images.txt", b"1 1 0 0 0 0 0 0 1 a.png\n\n"),
-    ];
-    let error = import(&TestHost::default().with("model", &files), &json!({"path": "model"})).unwrap_err();
+    let of = |camera: &[u8]| {
+        let files = [("cameras.txt", camera), ("images.txt", b"1 1 0 0 0 0 0 0 1 a.png\n\n")];
+        import(&TestHost::default().with("model", &files), &json!({"path": "model"}))
+    };
+    let error = of(b"1 PINHOLE 4000000000 4000 5000 5000 3000 2000").unwrap_err();
     assert!(error.message.contains("4000000000 x 4000 pixels"), "{error}");
+    assert!(of(b"1 PINHOLE 4000 1000001 5000 5000 2000 500000").unwrap_err().message.contains("4000 x 1000001 pixels"));
+    assert!(of(b"1 PINHOLE 4000 1000000 5000 5000 2000 500000").is_ok());
 }
 
 #[test]

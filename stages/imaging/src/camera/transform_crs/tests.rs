@@ -90,6 +90,17 @@ fn disagreement_about_the_outer_side_is_named() {
 }
 
 #[test]
+fn a_direction_along_the_face_does_not_tell_its_outer_side() {
+    // Into the rock by a cosine of 0.03 and of 0.01.
+    let error = run(&json!({"outward": [1, 0.03, 0]}), wall(), None).unwrap_err();
+    assert!(error.message.contains("`outward` disagree"), "{error}");
+    assert!(run(&json!({"outward": [1, 0.01, 0]}), wall(), None).is_ok());
+    let both_sides = Mesh { triangles: vec![[0, 1, 2], [0, 2, 1], [0, 2, 3], [0, 3, 2]], ..wall() };
+    let error = run(&json!({"outward": [1, 0.01, 0]}), both_sides, None).unwrap_err();
+    assert!(error.message.contains("neither triangles nor cameras tell"), "{error}");
+}
+
+#[test]
 fn parameters_that_contradict_each_other_are_faults() {
     let faults = |with| TransformCrs::check(&TransformCrsParams::decode(&with).unwrap());
     let stretched = json!({"frame": "given", "given": {"rotation": [[2, 0, 0], [0, 1, 0], [0, 0, 1]]}});

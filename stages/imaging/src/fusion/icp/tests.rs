@@ -191,3 +191,15 @@ fn the_bits_do_not_depend_on_the_number_of_threads() {
     };
     assert_eq!(at(1), at(3));
 }
+
+#[test]
+fn a_tenth_of_the_points_must_meet_the_target() {
+    let left_part = |columns: usize| {
+        let mut target = surface(rough, &still());
+        target.points.iter_mut().enumerate().filter(|(i, _)| i % 200 >= columns).for_each(|(_, p)| *p = [f32::NAN; 3]);
+        register(&surface(rough, &still()), &target, &Settings { max_distance_m: Some(0.2), ..SETTINGS })
+    };
+    // Of 200 columns.
+    assert!(left_part(12).unwrap_err().message.contains("do not overlap"));
+    assert!(left_part(40).is_ok());
+}

@@ -182,3 +182,30 @@ fn a_real_scan_becomes_one_clean_sheet() {
     assert_eq!((found.crowded_edges.count, found.opposed_edges.count, found.pinched_vertices.count), (0, 0, 0));
     assert!(found.open_area().unwrap().1.z > 0.0);
 }
+
+/// A plane that dips by these degrees to the south, with a little roughness.
+fn slope(dip_deg: f64) -> String {
+    let (sine, cosine) = rockface_core::numerics::portable_math::sincos(dip_deg.to_radians());
+    let point = |i: u32| {
+        let (x, along, out) = (0.1 * f64::from(i % 20), 0.1 * f64::from(i / 20), 0.003 * f64::from(i * 7 % 11));
+        format!("{} {} {}\n", x, along * cosine - out * sine, along * sine + out * cosine)
+    };
+    (0..400).map(point).collect()
+}
+
+#[test]
+fn what_tells_the_side_of_the_rock_too_faintly_does_not_tell_it() {
+    // A face may overhang from 60 degrees of dip on.
+    let warned = |dip_deg: f64| !import(slope(dip_deg).as_bytes(), &json!({})).1.warnings().is_empty();
+    assert_eq!([55.0, 65.0].map(warned), [false, true]);
+    // Six degrees off the plane.
+    let along = |y: f64| import(wall().as_bytes(), &json!({"outward": [1, y, 0]})).0;
+    assert!(along(0.08).unwrap_err().message.contains("`outward` lies within 6 degrees"));
+    assert!(along(0.12).is_ok());
+    // Normals that cancel but for 0.2 and 0.4 of them.
+    let told_by_normals = |turned: usize| {
+        let rows = overhang(" 0 0.98 -0.2").replacen("0.98 -0.2", "-0.98 0.2", turned);
+        import(format!("x y z nx ny nz\n{rows}").as_bytes(), &json!({})).1.warnings().is_empty()
+    };
+    assert_eq!([160, 120].map(told_by_normals), [false, true]);
+}

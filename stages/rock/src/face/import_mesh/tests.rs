@@ -277,3 +277,32 @@ fn real_faces_of_other_programs_are_read() {
     // The two whole scenes have two edges of three triangles each.
     assert_eq!(refused, ["cliff_trier_post.ply", "cliff_trier_pre.ply"]);
 }
+
+/// One square that is tilted so that its normal has these components along X and Z.
+fn tilted(x: f64, z: f64) -> String {
+    // Up its slope it goes by (-z, 0, x), across it along Y.
+    let [up, across] = [[-z, 0.0, x], [0.0, 1.0, 0.0]];
+    let corner = |[a, b]: [f64; 2]| {
+        let [px, py, pz] = [0, 1, 2].map(|axis| a * up[axis] + b * across[axis]);
+        format!("v {px} {py} {pz}\n")
+    };
+    let corners: String = [[0.0, 0.0], [0.0, 1.0], [1.0, 1.0], [1.0, 0.0]].map(corner).concat();
+    format!("{corners}f 1 2 3\nf 1 3 4\n")
+}
+
+#[test]
+fn faces_that_look_down_or_along_what_is_given_as_outward_are_warned_of() {
+    let warnings = |text: &str, extra: &Value| {
+        let (mesh, host) = with(text.as_bytes(), extra);
+        mesh.unwrap();
+        host.warnings()
+    };
+    // 29 and 31 degrees below the horizontal.
+    assert_eq!(warnings(&tilted(0.875, -0.485), &json!({})), Vec::<String>::new());
+    let down = warnings(&tilted(0.857, -0.515), &json!({}));
+    assert!(down.len() == 1 && down[0].contains("face downwards"), "{down:?}");
+    let upright = tilted(1.0, 0.0);
+    let along = warnings(&upright, &json!({"outward": [0.01, 1, 0]}));
+    assert!(along.len() == 1 && along[0].contains("in equal parts"), "{along:?}");
+    assert_eq!(warnings(&upright, &json!({"outward": [0.03, 1, 0]})), Vec::<String>::new());
+}

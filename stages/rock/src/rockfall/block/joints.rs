@@ -290,6 +290,20 @@ mod tests {
         assert_eq!(make(&json!({"joint_block": {"sets": [set, set, set]}}), 0).0, Err(BlockError::Unbounded));
     }
 
+    /// A horizontal set and two upright ones: the volume their normals span is the sine of the angle between the latter.
+    #[test]
+    fn sets_that_are_nearly_parallel_enclose_nothing() {
+        let block_at = |angle_deg: f64| {
+            let set =
+                |dip: f64, direction: f64| json!({"dip_deg": dip, "dip_direction_deg": direction, "spacing_m": 1});
+            make(&json!({"joint_block": {"sets": [set(0.0, 0.0), set(90.0, 180.0), set(90.0, 180.0 + angle_deg)]}}), 0)
+                .0
+        };
+        assert_eq!(block_at(1.1), Err(BlockError::Unbounded));
+        let sine = portable_math::sincos(1.2f64.to_radians()).0;
+        assert!((block_at(1.2).unwrap().volume() * sine - 1.0).abs() < 1e-6);
+    }
+
     #[test]
     fn a_wedge_on_two_symmetric_planes_is_the_tetrahedron_of_the_textbook() {
         // Planes dipping 60 degrees to south-east and south-west meet in a line due south of plunge atan(tan 60 cos 45).
