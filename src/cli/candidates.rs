@@ -54,8 +54,8 @@ pub fn script(shell: &str) -> Option<Vec<u8>> {
 /// The shells that are answered.
 const SHELLS: Shells = Shells(&[&Bash, &env::Elvish, &env::Fish, &env::Powershell, &env::Zsh]);
 
-/// Bash, which puts what is offered into the line as it is, names of files too; the other shells quote it. Where nothing is left, it
-/// offers files itself, and quotes them.
+/// Bash, which puts what is offered into the line as it is, names of files too; the other shells quote it. What is no word as
+/// it is has to be typed.
 struct Bash;
 
 impl EnvCompleter for Bash {
