@@ -42,11 +42,11 @@ pub fn shown(url: &Url) -> String {
     if has_container(url) { text.replacen("://", &format!("://{}@", url.username()), 1) } else { text }
 }
 
-/// What may be shown of a text that is no address, though it was meant as one: nothing in front of an `@` or behind a `?`.
+/// What may be shown of a text that is no address, though it was meant as one: nothing in front of an `@`, or behind a `?` or `#`.
 pub fn shown_text(text: &str) -> String {
     let Some((secret, place)) = text.rsplit_once('@') else { return without_secrets(text) };
     let scheme = secret.split_once("://").map_or_else(String::new, |(scheme, _)| format!("{scheme}://"));
-    format!("{scheme}…@{}", place.split('?').next().unwrap_or_default())
+    format!("{scheme}…@{}", place.split(['?', '#']).next().unwrap_or_default())
 }
 
 /// A text without users, passwords and queries of the addresses in it.
@@ -60,14 +60,11 @@ pub fn without_secrets(text: &str) -> String {
         let (place, path) = address.split_at(address.find(['/', '?', '#']).unwrap_or(address.len()));
         let place = place.rsplit_once('@').map_or(place, |(_, place)| place);
         shown += place;
-        match path.split_once('?') {
-            Some((path, query)) => {
-                let punctuation = query.trim_end_matches([')', ',', '.', ':', ';', '\'']).len();
-                shown += path;
-                shown += "?…";
-                shown += &query[punctuation..];
-            }
-            None => shown += path,
+        let (path, query) = path.split_at(path.find(['?', '#']).unwrap_or(path.len()));
+        shown += path;
+        if let Some(sign) = query.chars().next() {
+            let punctuation = query.trim_end_matches([')', ',', '.', ':', ';', '\'']).len();
+            shown += &format!("{sign}…{}", &query[punctuation.max(1)..]);
         }
         rest = further;
     }
@@ -89,6 +86,8 @@ mod tests {
             ("at https://t0ken@h, http://a:b@c@h and s3://b/c@d", "at https://h, http://h and s3://b/c@d"),
             ("\"http://a:p)w'@h/x\" \"https://h?q\".", "\"http://h/x\" \"https://h?…\"."),
             ("http://a:b@", "http://"),
+            ("(https://h/a#b).", "(https://h/a#…)."),
+            ("https://h?", "https://h?…"),
             ("://", "://"),
         ] {
             assert_eq!(without_secrets(text), expected);
