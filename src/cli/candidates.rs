@@ -1,17 +1,19 @@
 //! What the shell offers for the word that is being typed: pipelines, steps, stages, parts, runs and outputs.
 
-use std::ffi::OsStr;
+use std::ffi::{OsStr, OsString};
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
 use clap::CommandFactory;
 use clap_complete::engine::{ArgValueCompleter, CompletionCandidate, PathCompleter, ValueCompleter};
-use clap_complete::env::{CompleteEnv, Shells};
+use clap_complete::env::{self, CompleteEnv, EnvCompleter, Shells};
 use rockface_core::{PartText, Registry};
 
 use super::places::Places;
 use super::shipped::Shipped;
 use super::{Cli, CliError};
+use rockface_engine::diagnostic::printable;
 use rockface_engine::pipeline::{Overrides, Pipeline};
 
 /// The variable by which the shell asks for candidates.
@@ -36,7 +38,7 @@ pub fn answer(registry: &Registry) -> bool {
     let stages = registry.stages().iter().map(|stage| (stage.name(), first(stage.page().what()))).collect();
     let _ = KNOWN.set(Known { stages, parts: registry.parts() });
     let here = std::env::current_dir().ok();
-    let environment = CompleteEnv::with_factory(Cli::command).var(VARIABLE);
+    let environment = CompleteEnv::with_factory(Cli::command).var(VARIABLE).shells(SHELLS);
     // A shell has no use for a message while somebody types: no candidates then.
     environment.try_complete(std::env::args_os(), here.as_deref()).unwrap_or(true)
 }
@@ -49,12 +51,74 @@ pub fn script(shell: &str) -> Option<Vec<u8>> {
     Some(script)
 }
 
-/// Those of these names that begin with what is typed.
+/// The shells that are answered.
+const SHELLS: Shells = Shells(&[&Bash, &env::Elvish, &env::Fish, &env::Powershell, &env::Zsh]);
+
+/// Bash, which puts what is offered into the line as it is, names of files too; the other shells quote it. What is no word as
+/// it is has to be typed.
+struct Bash;
+
+impl EnvCompleter for Bash {
+    fn name(&self) -> &'static str {
+        env::Bash.name()
+    }
+    fn is(&self, name: &str) -> bool {
+        env::Bash.is(name)
+    }
+    fn write_registration(
+        &self,
+        variable: &str,
+        name: &str,
+        program: &str,
+        completer: &str,
+        to: &mut dyn Write,
+    ) -> io::Result<()> {
+        env::Bash.write_registration(variable, name, program, completer, to)
+    }
+    fn write_complete(
+        &self,
+        command: &mut clap::Command,
+        words: Vec<OsString>,
+        here: Option<&Path>,
+        to: &mut dyn Write,
+    ) -> io::Result<()> {
+        let mut offered = Vec::new();
+        env::Bash.write_complete(command, words, here, &mut offered)?;
+        let separator = std::env::var("_CLAP_IFS").unwrap_or_else(|_| "\n".to_owned());
+        let offered = String::from_utf8_lossy(&offered);
+        // An option, and a value after it, may be one word.
+        let kept = offered.split(&separator).filter(|word| is_word(word.trim_start_matches('-')));
+        to.write_all(kept.collect::<Vec<_>>().join(&separator).as_bytes())
+    }
+}
+
+/// Whether a text is one word of a command line, as it is, to every shell: names of runs, steps and files may come from strangers,
+/// and nobody looks at a word that the shell completes.
+fn is_word(text: &str) -> bool {
+    let is_plain = |letter: char| letter.is_alphanumeric() || "-_./=,:+%@".contains(letter);
+    let are_plain = |text: &str| text.chars().all(is_plain);
+    let text = text.strip_prefix("~/").unwrap_or(text);
+    // Some shells take these for something else where a word begins with them.
+    if text.starts_with(['=', '%', ':', '@', '+', ',']) {
+        return false;
+    }
+    // To shells, brackets are a pattern for names of files: what it stands for may be no further command either.
+    match text.split_once('[') {
+        None => are_plain(text),
+        Some((step, rest)) => rest.split_once(']').is_some_and(|(items, port)| {
+            let is_port = port.is_empty() || (port.starts_with('.') && !port.contains('/'));
+            is_port && [step, items, port].into_iter().all(are_plain)
+        }),
+    }
+}
+
+/// Those of these names that begin with what is typed, and are words that do nothing.
 fn fitting<'a>(current: &OsStr, names: impl IntoIterator<Item = (&'a str, &'a str)>) -> Vec<CompletionCandidate> {
     let typed = current.to_string_lossy();
-    let fits = names.into_iter().filter(|(name, _)| name.starts_with(&*typed));
+    let fits = |name: &str| name.starts_with(&*typed) && is_word(name) && !name.starts_with('-');
+    let fits = names.into_iter().filter(|(name, _)| fits(name));
     let candidate = |(name, help): (&str, &str)| {
-        let help = (!help.is_empty()).then(|| help.to_owned().into());
+        let help = (!help.is_empty()).then(|| printable(help).replace(['\n', '\t'], " ").into());
         CompletionCandidate::new(name).help(help)
     };
     fits.map(candidate).collect()
@@ -167,4 +231,29 @@ pub fn outputs() -> ArgValueCompleter {
         plain(current, &names.chain(parts).collect::<Vec<_>>())
     };
     ArgValueCompleter::new(outputs)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_words_that_do_nothing_are_offered() {
+        for word in
+            ["latest", "2026-11-30T124902Z-t-8543de27", "before/noisy.raster", "wände_2.yaml", "~/a/b.yaml", "../a", ""]
+        {
+            assert!(is_word(word), "{word}");
+        }
+        for word in ["dem[cell=0.05].raster", "dem[cell=0.05,trial=-1]"] {
+            assert!(is_word(word), "{word}");
+        }
+        for sign in " \t\n\r\u{1b}\u{7}\u{9b}\u{a0}\u{202e}\"#$&'()*;<>?\\^`{|}!~".chars() {
+            assert!(!is_word(&format!("x{sign}y")), "{sign:?}");
+        }
+        for word in ["=ls", "%1", "~root", "x[%-=]reboot", "x[%-=]./evil", "x[a", "x]", "x[a[b]", "x[;].y"] {
+            assert!(!is_word(word), "{word}");
+        }
+        let offered = fitting(OsStr::new(""), [("a", "b\u{1b}[2J\nc"), ("-rf", ""), ("x$(y)", "")]);
+        assert_eq!(offered, [CompletionCandidate::new("a").help(Some("b\\u{1b}[2J c".into()))]);
+    }
 }

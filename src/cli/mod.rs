@@ -372,7 +372,7 @@ impl CliError {
         match self {
             Self::Pipeline(diagnostics) => diagnostics.render(colour),
             Self::Failed | Self::Damaged => String::new(),
-            other => rockface_engine::watch::printable(&format!("error: {other}")).into_owned(),
+            other => rockface_engine::diagnostic::printable(&format!("error: {other}")).into_owned(),
         }
     }
 }

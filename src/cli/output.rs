@@ -9,7 +9,7 @@ static FAULT: Mutex<Option<io::Error>> = Mutex::new(None);
 /// Writes a line to standard output. A reader that has gone away ends the writing quietly; whatever else keeps the text from
 /// being written, such as a full disk, is kept for [`fault`].
 pub fn say(text: &str) {
-    note(writeln!(io::stdout(), "{}", rockface_engine::watch::printable(text)));
+    note(writeln!(io::stdout(), "{}", rockface_engine::diagnostic::printable(text)));
 }
 
 /// Notes what came of writing to standard output.
@@ -28,12 +28,12 @@ pub fn fault() -> Option<io::Error> {
 
 /// Writes a line to standard error. Where that cannot be written there is nobody left to tell.
 pub fn complain(text: &str) {
-    let _ = writeln!(io::stderr(), "{}", rockface_engine::watch::printable(text));
+    let _ = writeln!(io::stderr(), "{}", rockface_engine::diagnostic::printable(text));
 }
 
 /// The same for what has colours: all but the escape character that begins them is written out.
 pub fn complain_in_colour(text: &str) {
-    let parts: Vec<_> = text.split('\u{1b}').map(rockface_engine::watch::printable).collect();
+    let parts: Vec<_> = text.split('\u{1b}').map(rockface_engine::diagnostic::printable).collect();
     let _ = writeln!(io::stderr(), "{}", parts.join("\u{1b}"));
 }
 

@@ -86,5 +86,7 @@ fn objects(url: &str) -> Result<Box<dyn Backend>, CliError> {
 #[cfg(not(feature = "remote"))]
 fn objects(url: &str) -> Result<Box<dyn Backend>, CliError> {
     let way = "build it with `--features remote`, or give a folder as file:///PATH";
-    Err(CliError::Usage(format!("{url}: this build of rockface knows no object stores: {way}")))
+    // The rest of it may hold a password.
+    let scheme = url.split_once("://").map_or("", |(scheme, _)| scheme);
+    Err(CliError::Usage(format!("{scheme}://: this build of rockface knows no object stores: {way}")))
 }

@@ -7,8 +7,9 @@ use std::time::Duration;
 
 use clap::Args;
 use rockface_cache::{Store, WorkerReport};
+use rockface_engine::diagnostic::printable;
 use rockface_engine::history::PastRun;
-use rockface_engine::watch::{Report, Role, duration, printable};
+use rockface_engine::watch::{Report, Role, duration};
 use serde_json::json;
 
 use super::places::{Places, may_be_store};

@@ -1,5 +1,8 @@
 //! Messages about a pipeline that show the place, the value and the way out.
 
+mod printable;
+
+use std::borrow::Cow;
 use std::collections::HashSet;
 use std::fmt;
 use std::ops::Range;
@@ -7,6 +10,8 @@ use std::path::Path;
 use std::sync::Arc;
 
 use annotate_snippets::{AnnotationKind, Group, Level, Renderer, Snippet, Title};
+
+pub use printable::printable;
 
 /// A text that diagnostics can point into: a file, one `--set` of the command line, or a part as one step uses it.
 #[derive(Debug, Clone)]
@@ -158,12 +163,20 @@ pub fn listed<'a>(words: impl IntoIterator<Item = &'a str>) -> String {
 }
 
 /// A text, or where it is very long its beginning.
-fn shortened(text: &str) -> std::borrow::Cow<'_, str> {
+fn shortened(text: &str) -> Cow<'_, str> {
     if text.len() <= MESSAGE_BYTES {
         return text.into();
     }
     let end = (0..=MESSAGE_BYTES).rev().find(|end| text.is_char_boundary(*end)).unwrap_or(0);
     format!("{}… ({} bytes)", &text[..end], text.len()).into()
+}
+
+/// A message as it is shown: short, and with nothing that a terminal takes for a command.
+fn shown(text: &str) -> Cow<'_, str> {
+    match shortened(text) {
+        Cow::Borrowed(text) => printable(text),
+        Cow::Owned(text) => printable(&text).into_owned().into(),
+    }
 }
 
 /// The closest known word, if any is close.
@@ -221,8 +234,7 @@ impl Diagnostics {
     }
 
     fn render_one(&self, renderer: &Renderer, diagnostic: &Diagnostic) -> String {
-        let message = shortened(&diagnostic.message);
-        let title = Level::ERROR.primary_title(message.as_ref());
+        let title = Level::ERROR.primary_title(shown(&diagnostic.message));
         let mut notes: Vec<(Span, &str)> = Vec::new();
         let place = diagnostic.span.and_then(|span| Some((self.sources.get(span.source)?, span)));
         let mut group = match place {
@@ -239,13 +251,12 @@ impl Diagnostics {
             None => Group::with_title(title),
         };
         notes.extend(diagnostic.also.as_deref().map(|(span, why)| (*span, why.as_str())));
-        let hint = diagnostic.hint.as_deref().map(shortened);
-        if let Some(hint) = &hint {
-            group = group.element(Level::HELP.message(hint.as_ref()));
+        if let Some(hint) = &diagnostic.hint {
+            group = group.element(Level::HELP.message(shown(hint)));
         }
         let noted = notes.iter().filter_map(|(span, why)| {
             let source = self.sources.get(span.source)?;
-            Some(snippet(Level::NOTE.secondary_title(*why), source, *span, AnnotationKind::Primary, ""))
+            Some(snippet(Level::NOTE.secondary_title(shown(why)), source, *span, AnnotationKind::Primary, ""))
         });
         let groups: Vec<Group> = std::iter::once(group).chain(noted).collect();
         renderer.render(&groups)
@@ -262,10 +273,19 @@ fn snippet<'a>(title: Title<'a>, source: &'a Source, span: Span, kind: Annotatio
     let in_line = |at: usize| at.saturating_sub(line.start);
     let mut annotation = kind.span(in_line(range.start)..in_line(range.end));
     if !label.is_empty() {
-        annotation = annotation.label(label);
+        annotation = annotation.label(shown(label));
     }
-    let snippet = Snippet::source(&source.text[line]).line_start(first);
-    title.element(snippet.path(source.name.as_str()).annotation(annotation))
+    let snippet = Snippet::source(as_many_bytes(&source.text[line])).line_start(first);
+    let name = printable(&source.name).replace('\n', "\\n");
+    title.element(snippet.path(name).annotation(annotation))
+}
+
+/// The line of a source with places where they were. Pictures of the control characters of ASCII, and of letters that turn the
+/// direction, come from what draws the line; there are others, and some terminals take commands from them.
+fn as_many_bytes(line: &str) -> Cow<'_, str> {
+    const FURTHER: std::ops::RangeInclusive<char> = '\u{80}'..='\u{9f}';
+    let is_further = |letter: char| FURTHER.contains(&letter);
+    if line.contains(is_further) { line.replace(is_further, "\u{b7}").into() } else { line.into() }
 }
 
 impl fmt::Display for Diagnostics {
@@ -383,6 +403,25 @@ mod tests {
         assert!(shown.contains("p.yaml:2:8"), "{shown}");
         assert!(shown.contains("^^^^^^^^^^^^^"), "{shown}");
         assert!(shown.contains("did you mean `rasterise-dem`?"), "{shown}");
+    }
+
+    #[test]
+    fn nothing_in_a_fault_is_taken_for_a_command_by_a_terminal() {
+        let evil = "\u{1b}]0;T\u{7}\u{9b}2J\u{202e}\r";
+        let text = format!("a: {evil} b\n");
+        let span = Span { source: 0, start: 3 + evil.len() + 1, end: 3 + evil.len() + 2 };
+        let fault = Diagnostic::at(span, evil).label(evil).hint(evil).also(span, evil);
+        let sources = vec![Source::file(format!("p{evil}\n.yaml"), &text, Path::new("."))];
+        let told = Diagnostics { sources, list: vec![fault, Diagnostic::general(evil)] };
+        let plain = told.to_string();
+        let is_command = |letter: &char| (letter.is_control() && *letter != '\n') || *letter == '\u{202e}';
+        assert_eq!(plain.chars().find(is_command), None, "{plain:?}");
+        // The place is that of the text as it is.
+        assert!(plain.contains("\\n.yaml:1:16"), "{plain}");
+        // All escapes are colours of the program.
+        let coloured = told.render(true);
+        let colours = coloured.split('\u{1b}').skip(1).all(|part| part.starts_with('['));
+        assert!(colours && !coloured.contains(['\u{7}', '\u{9b}', '\u{202e}', '\r']), "{coloured:?}");
     }
 
     fn shown_at(text: &str, span: Span, message: &str) -> String {

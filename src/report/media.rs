@@ -28,7 +28,7 @@ pub struct Medium {
     pub from: String,
     /// The stage that made it, and the beginning of the digest of the output it shows.
     pub made: String,
-    /// The text of a figure, which may stand in the page as it is.
+    /// A figure as it may stand in the page ([`Figure::inside_page`]).
     pub svg: Option<String>,
     /// The address of an image, which holds the image itself.
     pub image: Option<String>,
@@ -172,12 +172,13 @@ fn finished(
     };
     if kind == Kind::Figure {
         let figure = Figure::decode(&bytes).ok()?;
-        if !budget.take(bytes.len()) {
+        let inside = figure.inside_page();
+        if !budget.take(inside.as_ref().map_or(bytes.len(), String::len)) {
             return None;
         }
-        if figure.is_plain() {
-            medium.wide = figure_width_px(&figure.svg) > WIDE_FIGURE_PX;
-            medium.svg = Some(figure.svg);
+        if let Some(svg) = inside {
+            medium.wide = figure_width_px(&svg) > WIDE_FIGURE_PX;
+            medium.svg = Some(svg);
         } else {
             medium.image = Some(data("image/svg+xml", &bytes));
         }

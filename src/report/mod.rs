@@ -16,12 +16,14 @@ mod tables;
 
 use std::path::{Path, PathBuf};
 
+use base64::Engine;
 use minijinja::value::{Serde, Value};
 use minijinja::{AutoEscape, Environment};
 use rockface_core::Look;
 use rockface_engine::history::RunContents;
 use rockface_engine::run::Reporter;
 use serde::Serialize;
+use sha2::{Digest, Sha256};
 
 pub use compared::comparison;
 pub use graph::of as graph_of;
@@ -120,6 +122,18 @@ const TEMPLATES: [(&str, &str); 4] = [
     ("compared.html", include_str!("assets/compared.html")),
 ];
 
+/// The script of every page.
+const SCRIPT: &str = include_str!("assets/script.js");
+
+/// What a browser lets a page do, whatever is in it: run our script, which is known by its digest, and show what the page holds.
+fn policy() -> String {
+    let digest = base64::engine::general_purpose::STANDARD.encode(Sha256::digest(SCRIPT));
+    format!(
+        "default-src 'none'; script-src 'sha256-{digest}'; style-src 'unsafe-inline'; img-src data:; base-uri 'none'; \
+         form-action 'none'"
+    )
+}
+
 fn render(name: &str, page: impl Serialize) -> Result<String, ReportError> {
     let mut environment = Environment::new();
     environment.set_auto_escape_callback(|_| AutoEscape::Html);
@@ -127,7 +141,8 @@ fn render(name: &str, page: impl Serialize) -> Result<String, ReportError> {
         environment.add_template(name, text)?;
     }
     environment.add_global("style", Value::from_safe_string(include_str!("assets/style.css").to_owned()));
-    environment.add_global("script", Value::from_safe_string(include_str!("assets/script.js").to_owned()));
+    environment.add_global("script", Value::from_safe_string(SCRIPT.to_owned()));
+    environment.add_global("policy", Value::from_safe_string(policy()));
     environment.add_global("rockface_version", env!("CARGO_PKG_VERSION"));
     Ok(environment.get_template(name)?.render(Value::from(Serde(page)))?)
 }

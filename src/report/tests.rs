@@ -40,6 +40,21 @@ fn what_users_write_is_text_and_nothing_else() {
 }
 
 #[test]
+fn a_browser_runs_the_script_of_the_page_and_no_other() {
+    let page = page();
+    let script = page.split_once("<script>").unwrap().1.split_once("</script>").unwrap().0;
+    let digest = base64::engine::general_purpose::STANDARD.encode(Sha256::digest(script));
+    let policy = page.split_once("Content-Security-Policy\" content=\"").unwrap().1.split_once('"').unwrap().0;
+    assert!(policy.starts_with("default-src 'none';"), "{policy}");
+    assert!(policy.contains(&format!("; script-src 'sha256-{digest}';")), "{policy}");
+    assert!(page.find("Content-Security-Policy") < page.find("<style"), "it holds for all that comes after it");
+    for (name, text) in TEMPLATES {
+        let handler = text.split(' ').find(|word| word.starts_with("on") && word.contains("=\""));
+        assert!(handler.is_none() && !text.contains("javascript:"), "{name}: {handler:?} would not run");
+    }
+}
+
+#[test]
 fn numbers_are_those_of_the_manifest() {
     let page = page();
     for exact in [1.0 / 3.0, 2.5e-7, 0.1 + 0.2] {

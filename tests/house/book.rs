@@ -296,6 +296,37 @@ fn shells_are_told_steps_stages_parts_and_runs() {
 }
 
 #[test]
+fn shells_are_not_told_names_that_are_commands() {
+    let house = House::new(SMALL);
+    house.rockface(&["run", "p.yaml", "--quiet"]);
+    let runs = house.path(".rockface/runs");
+    let run = std::fs::read_link(runs.join("latest")).unwrap();
+    for evil in ["zz$(touch${IFS}PWNED)", "zz;id", "zz`id`", "zz\u{1b}[2J", "zz fine"] {
+        std::fs::create_dir(runs.join(evil)).unwrap();
+        std::fs::copy(runs.join(&run).join("run.json"), runs.join(evil).join("run.json")).unwrap();
+        std::fs::write(house.path(&format!("{evil}.yaml")), "").unwrap();
+    }
+    std::fs::create_dir(runs.join("zz-fine")).unwrap();
+    std::fs::copy(runs.join(&run).join("run.json"), runs.join("zz-fine/run.json")).unwrap();
+    std::fs::write(house.path("zz-fine.yaml"), "").unwrap();
+    for shell in ["bash", "fish", "zsh", "elvish"] {
+        let asked = |words: &[&str]| {
+            let mut command = house.command(&[]);
+            command.args(["--", "rockface"]).args(words);
+            command.env("ROCKFACE_COMPLETE", shell).env("_CLAP_COMPLETE_INDEX", words.len().to_string());
+            String::from_utf8(command.output().unwrap().stdout).unwrap()
+        };
+        assert_eq!(asked(&["report", "zz"]).trim_end(), "zz-fine", "{shell}");
+        // Shells other than bash quote names of files.
+        if shell == "bash" {
+            assert_eq!(asked(&["run", "zz"]).trim_end(), "zz-fine.yaml");
+            assert_eq!(asked(&["run", "p.yaml", "--store", "zz"]).trim_end(), "zz-fine.yaml");
+        }
+        assert!(asked(&["run", "p.yaml", "--sto"]).contains("--store"), "{shell}");
+    }
+}
+
+#[test]
 fn manual_pages_are_made_for_every_command() {
     let house = House::new(SMALL);
     let (code, out, err) = house.rockface(&["manual", "pages", "man"]);

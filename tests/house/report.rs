@@ -75,6 +75,54 @@ fn a_report_can_be_made_later_and_elsewhere() {
     assert!(code == Some(2) && err.contains("there is no run `nothing`"), "{err}");
 }
 
+/// Figures that are drawings to a reader of XML, and run or load something where a reader of HTML finds them.
+const HOSTILE: [&str; 5] = [
+    "<!--> <img src=\"x\" onerror=\"evil()\"> -->",
+    "<title><g><![CDATA[><script>evil()</script>]]></g></title>",
+    "<?p ><script>evil()</script>?>",
+    "<image ONLOAD=\"evil()\" HREF=\"http://example.org/evil.png\"/>",
+    "<style>@IMPORT 'http://example.org/evil.css'; h1 {fill: URL(evil)}</style>",
+];
+
+#[test]
+fn a_figure_of_a_stranger_runs_nothing_in_a_page() {
+    let numbered = || HOSTILE.iter().chain(&["<text>\"<![CDATA[<script>]]></text>"]).enumerate();
+    let step = |number: usize| {
+        format!(
+            "  s{number}: {{stage: command, with: {{program: cp, args: [\"{{file.svg}}\", \"{{out.figure}}\"], \
+             files: {{svg: {number}.svg}}, version: cp, outputs: {{figure: figure}}}}}}\n"
+        )
+    };
+    let steps: String = numbered().map(|(number, _)| step(number)).collect();
+    let house = House::new(&format!("rockface: 1\nname: strange\nsteps:\n{steps}"));
+    for (number, inside) in numbered() {
+        let svg = format!("<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"9\">{inside}</svg>");
+        std::fs::write(house.path(&format!("{number}.svg")), svg).unwrap();
+    }
+    for seed in ["1", "2"] {
+        let (code, _, err) = house.rockface(&["run", "p.yaml", "--seed", seed]);
+        assert_eq!(code, Some(0), "{err}");
+    }
+    let runs = std::fs::read_dir(house.path(".rockface/runs")).unwrap().flatten().map(|entry| entry.file_name());
+    let runs: Vec<String> =
+        runs.map(|name| name.into_string().unwrap()).filter(|name| name.contains("-strange-")).collect();
+    let (code, _, err) = house.rockface(&["runs", "compare", &runs[0], &runs[1], "--html", "two.html"]);
+    assert_eq!(code, Some(0), "{err}");
+    for (name, runs) in [(".rockface/runs/latest/report.html", 1), ("two.html", 2)] {
+        let page = read(&house, name);
+        let policy = "<meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; script-src 'sha256-";
+        assert!(page.contains(policy), "{name}");
+        let found = page.to_lowercase();
+        assert!(!found.contains("evil") && !found.contains("<!--") && !found.contains("@import"), "{name}");
+        assert_eq!(page.matches("<script").count(), 1, "{name}: only its own");
+        assert!(page.matches("<img src=\"data:image/svg+xml;base64,").count() >= HOSTILE.len() * runs, "{name}");
+        assert!(
+            page.matches("<text>&quot;&lt;script&gt;</text>").count() >= runs,
+            "{name}: a plain one is in the page"
+        );
+    }
+}
+
 #[test]
 fn runs_are_compared_on_a_page() {
     let house = House::new(SEEN);

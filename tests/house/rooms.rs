@@ -134,6 +134,7 @@ const ARROWS: &[(&[&str], &[&str], &str)] = &[
         &["diagnostic"],
         "messages with place, caret and way out",
     ),
+    (&["watch"], &["diagnostic"], "names and logs of others are made fit for a terminal"),
     (&["plan", "run", "drawing", "report", "cli"], &["pipeline"], "the document as it was read"),
     (&["history"], &["pipeline"], "outputs of past runs are named as pipelines name them"),
     (&["history", "run", "explain", "drawing", "report", "cli"], &["plan"], "instances and their recipes"),

@@ -5,6 +5,8 @@
 
 #![cfg_attr(not(test), warn(clippy::print_stdout, clippy::print_stderr, clippy::exit))]
 
+mod address;
+
 use std::collections::BTreeMap;
 use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
@@ -67,31 +69,25 @@ pub fn open(text: &str) -> Result<Box<dyn Backend>, String> {
 ///
 /// Those of [`open`].
 pub fn open_with(text: &str, variables: &Variables) -> Result<Box<dyn Backend>, String> {
-    let url = Url::parse(text).map_err(|fault| format!("`{text}` is no URL: {fault}"))?;
-    let (scheme, prefix) = ObjectStoreScheme::parse(&url).map_err(|_| unknown(text))?;
+    let url = Url::parse(text).map_err(|fault| format!("`{}` is no URL: {fault}", address::shown_text(text)))?;
+    let unknown = || unknown(&address::shown_text(text));
+    let (scheme, prefix) = ObjectStoreScheme::parse(&url).map_err(|_| unknown())?;
+    address::check(&url, &scheme)?;
     // Of several providers of cryptography none is chosen by itself; a second choice is refused, and that is right.
     let _ = rustls::crypto::ring::default_provider().install_default();
     let timeout = timeout(variables)?;
     let is_http = scheme == ObjectStoreScheme::Http;
     let store = build(&scheme, &url, variables, timeout).map_err(|fault| match fault {
-        None => unknown(text),
-        Some(fault) => format!("cannot use {text}: {}", words(&fault)),
+        None => unknown(),
+        Some(fault) => format!("cannot use {}: {}", address::shown(&url), words(&fault)),
     })?;
-    Ok(Box::new(Objects { url: without_secrets(&url), runtime: runtime()?, store, prefix, is_http, timeout }))
+    Ok(Box::new(Objects { url: address::shown(&url), runtime: runtime()?, store, prefix, is_http, timeout }))
 }
 
 fn unknown(text: &str) -> String {
     format!(
         "`{text}` is no remote place: give s3://BUCKET/PREFIX, gs://, az://, https:// (to read from), or a folder as file:///PATH"
     )
-}
-
-/// The URL as it may be shown: a password is none of it.
-fn without_secrets(url: &Url) -> String {
-    let mut shown = url.clone();
-    let _ = shown.set_password(None);
-    shown.set_query(None);
-    shown.to_string()
 }
 
 fn timeout(variables: &Variables) -> Result<Duration, String> {
@@ -295,10 +291,11 @@ fn told(fault: &Error) -> BackendError {
     }
 }
 
-/// What an error says, shortened: the causes repeat each other, and the answer of a server may be a whole page.
+/// What an error says, shortened: the causes repeat each other, and the answer of a server may be a whole page. Addresses in it may
+/// hold passwords and signatures, those that a server leads on to too.
 fn words(fault: &Error) -> String {
     const LENGTH: usize = 300;
-    let text = fault.to_string().replace(['\n', '\r'], " ");
+    let text = address::without_secrets(&fault.to_string()).replace(['\n', '\r'], " ");
     let hint = if text.contains("169.254.169.254") {
         " (there are no credentials in the environment, so those of a virtual machine were looked for)"
     } else {

@@ -115,3 +115,32 @@ fn addresses_that_name_no_place_are_refused_in_words() {
         assert!(fault.contains(word), "{text}: {fault}");
     }
 }
+
+#[test]
+fn what_is_never_sent_is_refused_and_passwords_are_not_shown() {
+    let open = |text: &str| rockface_remote::open_with(text, &rockface_remote::Variables::new());
+    for (text, place, way) in [
+        ("http://alice:S3cret@127.0.0.1:9/a", "http://127.0.0.1:9/a: user and password", "s3://BUCKET/PREFIX"),
+        ("https://S3cret@host/a", "https://host/a: user and password", "can be read without"),
+        ("https://host/a?sig=S3cret", "https://host/a?…: what begins with `?`", "can be read without"),
+        ("https://host/a#S3cret", "https://host/a#…", "what begins with `#`"),
+        ("s3://key:S3cret@bucket/p", "s3://bucket/p", "AWS_ACCESS_KEY_ID"),
+        ("https://a.blob.core.windows.net/c/p?sig=S3cret", "/c/p?…", "AZURE_STORAGE_SAS_TOKEN"),
+        ("abfss://c:S3cret@a.dfs.core.windows.net/", "abfss://a.dfs.core.windows.net/", "AZURE_STORAGE_ACCOUNT_KEY"),
+        ("gs://bucket/p?key=S3cret", "gs://bucket/p?…", "GOOGLE_SERVICE_ACCOUNT"),
+        ("http://alice:S3cret/x@host/a", "`http://…@host/a` is no URL", "port"),
+        ("ftp://alice:S3cret@host/a", "`ftp://…@host/a` is no remote place", "s3://BUCKET/PREFIX"),
+    ] {
+        let fault = open(text).unwrap_err();
+        assert!(fault.contains(place) && fault.contains(way) && !fault.contains("S3cret"), "{text}: {fault}");
+    }
+    assert_eq!(open("https://host/a").unwrap().url(), "https://host/a");
+    // An endpoint comes from the environment, and what fails tells of it.
+    let endpoint = "http://alice:S3cret@127.0.0.1:1/x?sig=S3cret";
+    let variables = [("AWS_ENDPOINT_URL", endpoint), ("AWS_ACCESS_KEY_ID", "a"), ("AWS_SECRET_ACCESS_KEY", "b")];
+    let variables = variables.into_iter().chain([("AWS_REGION", "eu-central-1"), ("ROCKFACE_REMOTE_TIMEOUT", "1")]);
+    let variables = variables.map(|(name, value)| (name.to_owned(), value.to_owned())).collect();
+    let place = rockface_remote::open_with("s3://bucket/p", &variables).unwrap();
+    let fault = format!("{:?}", place.get("a", 9).unwrap_err());
+    assert!(!fault.contains("S3cret"), "{fault}");
+}

@@ -41,7 +41,7 @@ impl<W: Write> Observer for JsonLines<W> {
         let version = matches!(event, Event::Planned { .. }).then_some(super::events::VERSION);
         let line = Line { version, event, done: progress.done, total: progress.total };
         if let Ok(line) = serde_json::to_string(&line) {
-            self.pending.extend(super::printable(&line).as_bytes());
+            self.pending.extend(crate::diagnostic::printable(&line).as_bytes());
             self.pending.push(b'\n');
         }
         if !matches!(event, Event::Cached { .. }) || self.pending.len() > TOGETHER_BYTES {

@@ -4,7 +4,8 @@ use std::collections::{BTreeMap, HashMap};
 use std::io::Write;
 use std::time::{Duration, Instant};
 
-use super::{Event, Observer, Progress, duration, printable};
+use super::{Event, Observer, Progress, duration};
+use crate::diagnostic::printable;
 
 /// How often a line of progress is due.
 const PROGRESS_EVERY: Duration = Duration::from_secs(2);

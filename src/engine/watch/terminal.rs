@@ -7,6 +7,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 use super::plain::Lines;
 use super::{Event, Observer, Progress, duration};
+use crate::diagnostic::printable;
 
 /// A bar, what is running, and the time left; warnings and failures scroll above it.
 pub struct Terminal {
@@ -50,7 +51,7 @@ impl Observer for Terminal {
         self.bar.set_position(progress.done as u64);
         let left = progress.remaining_s.map(|s| format!("about {} left  ", duration(s))).unwrap_or_default();
         let names: Vec<&str> = self.running.iter().take(2).map(String::as_str).collect();
-        self.bar.set_message(format!("{left}{}", names.join("  ")));
+        self.bar.set_message(format!("{left}{}", printable(&names.join("  "))));
     }
 
     fn end(&mut self) {

@@ -141,7 +141,7 @@ mod tests {
         let made =
             run_stage::<DrawDetectionVolumes>(&TestHost::default(), &json!({}), &[("truth", truth.clone().into())]);
         let Some(Artefact::Figure(figure)) = made.unwrap().into_inner().remove("figure") else { panic!("no figure") };
-        assert!(figure.svg.contains("21 of 30 changes found") && figure.is_plain());
+        assert!(figure.svg.contains("21 of 30 changes found") && figure.inside_page().is_some());
         let bare = Inventory { columns: vec!["removed_m3".into()], features: Vec::new(), ..truth };
         let error = run_stage::<DrawDetectionVolumes>(&TestHost::default(), &json!({}), &[("truth", bare.into())]);
         assert!(error.unwrap_err().hint.unwrap().contains("score-detections"));

@@ -16,7 +16,7 @@ use plotters::style::{Color, FontStyle, IntoFont, RGBColor, ShapeStyle, TextStyl
 
 use super::{Area, Inset, failed};
 use crate::figure::canvas::{Colour, Pen};
-use rockface_core::artefact::CodecError;
+use rockface_core::artefact::{CodecError, Figure};
 
 /// Drawing units a pixel: the backend knows whole numbers only.
 pub(super) const UNIT: i32 = 10;
@@ -172,15 +172,6 @@ fn hex([r, g, b]: Colour) -> String {
 /// Typefaces of the reader's system.
 const FONTS: &str = "system-ui,-apple-system,'Segoe UI',Roboto,'Helvetica Neue',Arial,sans-serif";
 
-fn style_sheet() -> String {
-    let rule = |(class, variable, colour): &(&str, &str, Colour)| {
-        let value = format!("var(--{variable},{})", hex(*colour).to_lowercase());
-        let dashes = if *class == "r" { ";stroke-dasharray:50 40" } else { "" };
-        format!(".rf-{class}{{fill:{value}}}.rl-{class}{{stroke:{value};stroke-linejoin:round{dashes}}}")
-    };
-    VARIABLES.iter().map(rule).collect()
-}
-
 /// Finishes what the backend wrote: size in pixels, title, style sheet, paper, insets, classes for colours.
 pub(super) fn finish(text: &str, size: (u32, u32), title: &str, insets: &[Inset]) -> String {
     let (width, height) = size;
@@ -195,7 +186,7 @@ pub(super) fn finish(text: &str, size: (u32, u32), title: &str, insets: &[Inset]
     if !title.is_empty() {
         svg.push_str(&format!("<title>{}</title>\n", escaped(title)));
     }
-    svg.push_str(&format!("<style>{}</style>\n", style_sheet()));
+    svg.push_str(&format!("<style>{}</style>\n", Figure::STYLE_SHEET));
     svg.push_str(&format!("<rect width=\"{width}\" height=\"{height}\" fill=\"#FFFFFF\" class=\"rf-p\"/>\n"));
     for Inset { place: [x, y, width, height], png } in insets {
         let data = base64::engine::general_purpose::STANDARD.encode(png);
@@ -228,4 +219,19 @@ fn with_classes(body: &str) -> String {
 
 fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_style_sheet_has_every_colour() {
+        let rule = |(class, variable, colour): &(&str, &str, Colour)| {
+            let value = format!("var(--{variable},{})", hex(*colour).to_lowercase());
+            let dashes = if *class == "r" { ";stroke-dasharray:50 40" } else { "" };
+            format!(".rf-{class}{{fill:{value}}}.rl-{class}{{stroke:{value};stroke-linejoin:round{dashes}}}")
+        };
+        assert_eq!(Figure::STYLE_SHEET, VARIABLES.iter().map(rule).collect::<String>());
+    }
 }
