@@ -206,7 +206,7 @@ mod tests {
                 0.0,
             );
             for (x, y) in (0..60).flat_map(|y| (0..80).map(move |x| (x, y))) {
-                let middle = [(x as f64 + 0.5) / 2.0, (y as f64 + 0.5) / 2.0];
+                let middle = [x, y].map(|at: usize| (at as f64 + 0.5) / canvas.unit_px());
                 let within = columns.contains(&x) && rows.contains(&y) && rings_hold(&rings, middle);
                 assert_eq!(canvas.pixel(x, y), Some(&mut [if within { 0 } else { 255 }; 3]), "{corners} {x} {y}");
             }
