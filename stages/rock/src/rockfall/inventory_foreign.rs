@@ -68,7 +68,7 @@ fn check_columns(features: &[Value], columns: usize) -> Result<(), CodecError> {
     let cells = rows.saturating_mul(columns);
     if cells > FEW_CELLS && cells / CELLS_OF_A_PROPERTY > given {
         return Err(CodecError(format!(
-            "its {rows} features have {columns} properties by name, but only {given} values: of {cells} cells, each property              a column, nearly all would be empty; {way}"
+            "its {rows} features have {columns} properties by name, but only {given} values: of {cells} cells, each property a column, nearly all would be empty; {way}"
         )));
     }
     Ok(())
