@@ -374,3 +374,32 @@ fn a_file_called_latest_stays() {
     assert_eq!(fs::read_dir(&runs).unwrap().count(), 1, "before any work is done");
     assert_eq!(fs::read_to_string(runs.join("latest")).unwrap(), "my notes");
 }
+
+#[test]
+fn an_archive_has_nothing_that_somebody_else_put_into_the_run_folder() {
+    let house = House::new(SMALL);
+    assert_eq!(house.rockface(&["run", "p.yaml"]).0, Some(0));
+    let folder = house.path(".rockface/runs/latest");
+    let strange = ["README", "B3SUMS", "a\nb", "c\u{1b}[31m", "notes.txt", "outputs/loose.csv"];
+    for name in strange {
+        fs::write(folder.join(name), "0000  README\n").unwrap();
+    }
+    for name in ["inputs", "pipeline", "records", "outputs/other"] {
+        fs::create_dir(folder.join(name)).unwrap();
+        fs::write(folder.join(name).join("x.csv"), "").unwrap();
+    }
+    symlink("/etc/hostname", folder.join("outputs/face/y.csv")).unwrap();
+    fs::write(folder.join("outputs/face/further.csv"), "1\n").unwrap();
+    let (code, _, err) = house.rockface(&["archive", "latest", "--outputs", "-o", "run.tar"]);
+    // Six files, three folders, a file in a folder of no output, and a link.
+    assert!(code == Some(0) && err.contains("warning: 11 files, folders or links in"), "{code:?} {err}");
+    let mut archive = tar::Archive::new(fs::File::open(house.path("run.tar")).unwrap());
+    let names: Vec<String> =
+        archive.entries().unwrap().map(|entry| entry.unwrap().path().unwrap().display().to_string()).collect();
+    let once: std::collections::BTreeSet<&String> = names.iter().collect();
+    assert_eq!(once.len(), names.len(), "{names:?}");
+    assert!(names.iter().any(|name| name == "outputs/face/mesh.ply"), "{names:?}");
+    assert!(names.iter().any(|name| name == "outputs/face/further.csv"), "{names:?}");
+    let is_strange = |name: &&String| name.ends_with("x.csv") || name.ends_with("y.csv") || name.contains('\u{1b}');
+    assert_eq!(names.iter().find(is_strange), None);
+}

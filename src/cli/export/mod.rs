@@ -247,6 +247,12 @@ impl ArchiveArgs {
             let missing = done.missing;
             complain(&format!("warning: {missing} records or logs of this run are not in the store any more"));
         }
+        if done.strange > 0 {
+            let (strange, folder) = (done.strange, run.folder.display());
+            complain(&format!(
+                "warning: {strange} files, folders or links in {folder} are none that a run writes, and are not in the archive"
+            ));
+        }
         if !done.left_out.is_empty() {
             complain(&format!("warning: {}", left_out(&done.left_out, &run.folder)));
         }

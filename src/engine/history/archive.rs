@@ -43,6 +43,8 @@ pub struct Archived {
     pub missing: usize,
     /// Outputs that were asked for and that neither the run folder nor the store has, as `step.port`.
     pub left_out: Vec<String>,
+    /// Entries of the run folder that are none of the files of a run, and are not in the archive.
+    pub strange: usize,
 }
 
 /// What an archive has besides what is needed to check the run.
@@ -68,14 +70,9 @@ pub fn archive(run: &PastRun, store: &Store, contents: Contents, to: &Path) -> R
     let mut packing = Packing { tar: tar::Builder::new(BufWriter::new(file)), sums: BTreeMap::new(), to };
     packing.add(Path::new("README"), README.as_bytes())?;
     let made = made(&run.manifest);
-    for path in files_of(run, contents.outputs)? {
-        let file = run.folder.join(&path);
-        let bytes = std::fs::read(&file).map_err(HistoryError::io("read", &file))?;
-        let bytes = match made.get(path.as_path()) {
-            Some(digest) => as_made(bytes, digest, store, &file, run)?,
-            None => bytes,
-        };
-        packing.add(&path, &bytes)?;
+    let (files, strange) = files_of(run, &made, contents.outputs)?;
+    for path in files {
+        packing.add_own(&path, made.get(&*path).copied(), run, store)?;
     }
     let left_out = if contents.outputs { packing.stored_outputs(run, store)? } else { Vec::new() };
     if contents.inputs {
@@ -91,7 +88,7 @@ pub fn archive(run: &PastRun, store: &Store, contents: Contents, to: &Path) -> R
     let mode = PermissionsExt::from_mode(0o644);
     file.as_file().set_permissions(mode).map_err(HistoryError::io("write", to))?;
     file.persist(to).map_err(|fault| HistoryError::io("write", to)(fault.error))?;
-    Ok(Archived { files, missing, left_out })
+    Ok(Archived { files, missing, left_out, strange })
 }
 
 /// What each output file of a run was made as.
@@ -115,24 +112,6 @@ fn place_of(done: &StepDone, port: &SafeName, output: &OutputRecord) -> Result<S
     Ok(output_folder(&done.step, &point.join(","))?.with(&SafeName::new(format!("{port}.{extension}"))?))
 }
 
-/// The bytes of an output as it was made: those of the file in the run folder, unless it was written to or has decayed
-/// since; then those in the store.
-fn as_made(
-    bytes: Vec<u8>,
-    digest: &Digest,
-    store: &Store,
-    file: &Path,
-    run: &PastRun,
-) -> Result<Vec<u8>, HistoryError> {
-    if Digest::of(&bytes) == *digest {
-        return Ok(bytes);
-    }
-    in_store(store, digest)?.ok_or_else(|| {
-        let manifest = run.folder.join("run.json");
-        HistoryError::Changed { path: file.to_owned(), digest: *digest, manifest }
-    })
-}
-
 /// A blob of the store; `None` if the store does not have it or finds it damaged. A store that cannot be read is an error: what it has is not missing.
 fn in_store(store: &Store, digest: &Digest) -> Result<Option<Vec<u8>>, StoreError> {
     match store.get(digest) {
@@ -142,24 +121,50 @@ fn in_store(store: &Store, digest: &Digest) -> Result<Option<Vec<u8>>, StoreErro
     }
 }
 
-/// The files of a run folder, relative to it, sorted.
-fn files_of(run: &PastRun, outputs: bool) -> Result<Vec<PathBuf>, HistoryError> {
-    let (mut found, mut folders) = (Vec::new(), vec![PathBuf::new()]);
+/// The files that a run writes into its folder, beside those of its outputs.
+const OWN: [&str; 7] = [
+    "run.json",
+    "pipeline.yaml",
+    "run.mcap",
+    "ro-crate-metadata.json",
+    "foxglove-layout.json",
+    super::REPORT_FILE,
+    super::POINTS_FILE,
+];
+
+/// The files of a run folder that a run writes, relative to it, sorted: its own, and below `outputs` those of the outputs that its
+/// manifest names, with their further files (tables, parts), which lie in the folder of an output. Also how many entries are others: whoever
+/// has sent the folder may have put files there under any name.
+fn files_of(
+    run: &PastRun,
+    made: &BTreeMap<&Path, Digest>,
+    outputs: bool,
+) -> Result<(Vec<SafePath>, usize), HistoryError> {
+    let places: BTreeSet<&Path> = made.keys().filter_map(|path| path.parent()).collect();
+    let is_of_run = |path: &SafePath| match path.parent() {
+        None => false,
+        Some(top) if top.as_os_str().is_empty() => OWN.iter().any(|name| **path == *Path::new(name)),
+        Some(_) => path.starts_with("outputs") && path.ancestors().skip(1).any(|folder| places.contains(folder)),
+    };
+    let (mut found, mut strange, mut folders) = (Vec::new(), 0, vec![PathBuf::new()]);
     while let Some(folder) = folders.pop() {
         let path = run.folder.join(&folder);
         for entry in std::fs::read_dir(&path).map_err(HistoryError::io("list", &path))? {
             let entry = entry.map_err(HistoryError::io("list", &path))?;
             let relative = folder.join(entry.file_name());
             let kind = entry.file_type().map_err(HistoryError::io("look at", &entry.path()))?;
-            if kind.is_dir() && (outputs || relative != Path::new("outputs")) {
-                folders.push(relative);
-            } else if kind.is_file() && relative != Path::new(super::PIN) {
-                found.push(relative);
+            let safe = SafePath::of(&relative).ok();
+            if kind.is_dir() && safe.is_some() && relative.starts_with("outputs") {
+                folders.extend(outputs.then_some(relative));
+            } else if let Some(file) = safe.filter(|file| kind.is_file() && is_of_run(file)) {
+                found.push(file);
+            } else if relative != Path::new(super::PIN) {
+                strange += 1;
             }
         }
     }
     found.sort();
-    Ok(found)
+    Ok((found, strange))
 }
 
 /// What stands before a file of so many bytes, which may be a program.
@@ -192,11 +197,55 @@ struct Packing<'a> {
 }
 
 impl Packing<'_> {
+    /// Adds a file; one that is there already stays, and must be the same.
     fn add(&mut self, path: &Path, bytes: &[u8]) -> Result<(), HistoryError> {
+        if !self.is_free(path, path, Digest::of(bytes))? {
+            return Ok(());
+        }
         let added = self.tar.append_data(&mut header(bytes.len() as u64, false), path, bytes);
         added.map_err(HistoryError::io("write", self.to))?;
         self.sums.insert(path.to_owned(), Digest::of(bytes));
         Ok(())
+    }
+
+    /// Adds a file of the run folder. An output is added as it was made: the file in the folder, unless it was written to or has decayed since; then
+    /// that in the store.
+    fn add_own(
+        &mut self,
+        place: &SafePath,
+        made: Option<Digest>,
+        run: &PastRun,
+        store: &Store,
+    ) -> Result<(), HistoryError> {
+        let file = run.folder.join(place);
+        let opened = File::open(&file).map_err(HistoryError::io("read", &file))?;
+        let (found, size) = Digest::of_reader(opened).map_err(HistoryError::io("read", &file))?;
+        let changed = |digest| {
+            let manifest = run.folder.join("run.json");
+            HistoryError::Changed { path: file.clone(), digest, manifest }
+        };
+        if let Some(digest) = made.filter(|digest| *digest != found) {
+            let bytes = in_store(store, &digest)?.ok_or_else(|| changed(digest))?;
+            return self.add(place, &bytes);
+        }
+        if self.stream(place, &file, size, false)? != found {
+            return Err(made.map_or_else(
+                || HistoryError::io("read", &file)(std::io::Error::other("it changes while it is read")),
+                changed,
+            ));
+        }
+        Ok(())
+    }
+
+    /// Adds so many bytes of a file, which are not held in memory; returns their digest.
+    fn stream(&mut self, place: &Path, path: &Path, size: u64, is_program: bool) -> Result<Digest, HistoryError> {
+        let file = File::open(path).map_err(HistoryError::io("read", path))?;
+        let (found, _, added) = Digest::of_pieces(|piece| {
+            self.tar.append_data(&mut header(size, is_program), place, Hashed { file: file.take(size), piece })
+        });
+        added.map_err(HistoryError::io("copy into the archive", path))?;
+        self.sums.insert(place.to_owned(), found);
+        Ok(found)
     }
 
     /// Adds the pipeline and the files it read, each where it lay beside the others.
@@ -244,21 +293,12 @@ impl Packing<'_> {
             return Err(HistoryError::InputChanged { path: path.to_owned(), digest });
         }
         let is_program = is.permissions().mode() & 0o111 != 0;
-        let open = || File::open(path).map_err(HistoryError::io("read", path));
         // Before anything of it is written: a made-up manifest may name a file of any size.
-        let (found, size) = Digest::of_reader(open()?).map_err(HistoryError::io("read", path))?;
-        if found != digest {
+        let opened = File::open(path).map_err(HistoryError::io("read", path))?;
+        let (found, size) = Digest::of_reader(opened).map_err(HistoryError::io("read", path))?;
+        if found != digest || self.stream(place, path, size, is_program)? != digest {
             return Err(HistoryError::InputChanged { path: path.to_owned(), digest });
         }
-        let file = open()?;
-        let (found, _, added) = Digest::of_pieces(|piece| {
-            self.tar.append_data(&mut header(size, is_program), place, Hashed { file: file.take(size), piece })
-        });
-        added.map_err(HistoryError::io("copy into the archive", path))?;
-        if found != digest {
-            return Err(HistoryError::InputChanged { path: path.to_owned(), digest });
-        }
-        self.sums.insert(place.to_owned(), digest);
         Ok(())
     }
 

@@ -6,6 +6,7 @@ use std::sync::Arc;
 
 use rockface_cache::Digest;
 use rockface_core::AnyStage;
+use rockface_core::limits::{SYSTEM_FILE_BYTES, too_long};
 use rockface_core::params::{Fault, Field, Kind};
 use serde_json::{Value, json};
 
@@ -325,11 +326,17 @@ impl Finder<'_> {
         fault
     }
 
-    /// The `.prj` of the same name beside a file; one that cannot be read is a fault.
+    /// The `.prj` of the same name beside a file; one that cannot be read, or is too long to be one, is a fault.
     fn beside(&mut self, file: &Path) -> Option<InputFile> {
         let paths = ["prj", "PRJ"].map(|extension| file.with_extension(extension));
         let path = paths.into_iter().find(|path| self.sight.is_file(path))?;
-        match self.hashed(path) {
+        // Before it is hashed: what has the name may be of any size.
+        let most = SYSTEM_FILE_BYTES;
+        let hashed = match std::fs::metadata(&path) {
+            Ok(found) if found.len() > most => Err(too_long(&format!("`{}`, a `.prj`,", path.display()), most)),
+            _ => self.hashed(path),
+        };
+        match hashed {
             Ok(system) => Some(system),
             Err(message) => {
                 let span = self.step.with.as_ref().map_or(self.step.span, |with| with.locate(&self.path, false));

@@ -1,7 +1,10 @@
 //! The files that GDAL and QGIS put beside a raster: they are no rasters, and two of them say which cells have a value.
 
 use std::collections::BTreeSet;
+use std::io::Read;
 use std::path::{Path, PathBuf};
+
+use rockface_core::limits::too_long;
 
 use super::sight::Sight;
 
@@ -9,6 +12,9 @@ use super::sight::Sight;
 const ADDED: [&str; 3] = [".aux.xml", ".msk", ".ovr"];
 /// Names of rasters that GDAL puts such files beside end so.
 const RASTERS: [&str; 2] = [".tif", ".tiff"];
+
+/// Most bytes of the statistics beside a raster; histograms of many bands and attribute tables are some hundred KiB.
+const MOST_BYTES: u64 = 16 << 20;
 
 fn is_raster(path: &Path) -> bool {
     let name = path.to_string_lossy().to_ascii_lowercase();
@@ -44,8 +50,18 @@ pub fn check(raster: &Path, sight: &Sight) -> Result<(), String> {
     }
     let about = beside(raster, ".aux.xml");
     if sight.is_file(&about) {
+        let failed = |error: std::io::Error| format!("cannot read `{}`: {error}", about.display());
+        let long = || too_long(&format!("`{}`, statistics beside a raster,", about.display()), MOST_BYTES);
+        // Before it is hashed: what has the name may be of any size.
+        if std::fs::metadata(&about).map_err(failed)?.len() > MOST_BYTES {
+            return Err(long());
+        }
         sight.hash(&about)?;
-        let text = std::fs::read(&about).map_err(|error| format!("cannot read `{}`: {error}", about.display()))?;
+        let mut text = Vec::new();
+        let read = std::fs::File::open(&about).and_then(|file| file.take(MOST_BYTES + 1).read_to_end(&mut text));
+        if read.map_err(failed)? as u64 > MOST_BYTES {
+            return Err(long());
+        }
         let text = String::from_utf8_lossy(&text);
         if text.contains("<NoDataValue") {
             return Err(format!("`{}` has a no-data value, which is not read: {way}", about.display()));
@@ -84,6 +100,9 @@ mod tests {
         assert!(checked("a.tif").0.unwrap_err().contains("a.tif.aux.xml` has a no-data value, which is not read"));
         write("a.tif.aux.xml", "<PAMDataset><SRS>EPSG:2229</SRS></PAMDataset>");
         assert!(checked("a.tif").0.unwrap_err().contains("has a coordinate reference system, which is not read"));
+        let long = std::fs::File::create(at("a.tif.aux.xml")).unwrap();
+        long.set_len(3 << 30).unwrap();
+        assert!(checked("a.tif").0.unwrap_err().contains("has more than 16384 KiB, and is not read"));
         write("b.TIFF.msk", "");
         assert!(checked("b.TIFF").0.unwrap_err().contains("b.TIFF.msk` is a mask, which is not read"));
         assert_eq!(checked("c.xyz"), (Ok(()), 0));

@@ -39,7 +39,16 @@ impl<'a> Sight<'a> {
     }
 
     /// The digest of a file.
+    ///
+    /// # Errors
+    /// A file of the kernel, such as `/proc/kmsg`, which looks like any other and whose reading may wait for ever; those of `hash`.
     pub fn hash(&self, path: &Path) -> Result<Digest, String> {
+        // A pipe behind `/proc/self/fd/3` has no path of its own, and a file there has that of the file.
+        let real = path.canonicalize().unwrap_or_default();
+        if ["/proc", "/sys"].iter().any(|of_kernel| real.starts_with(of_kernel)) {
+            let what = "a file of the kernel, whose reading may never end";
+            return Err(format!("`{}` is {what}: copy what is needed of it into a file", path.display()));
+        }
         let digest = (self.hash)(path)?;
         self.note(path, Seen::File(digest));
         Ok(digest)
@@ -138,5 +147,23 @@ mod tests {
         assert!(looks.contains(&(place("d3.tif"), Seen::NoFile)));
         assert!(looks.contains(&(place("d1.tif"), Seen::File(Digest::of(b"d1.tif")))));
         assert!(looks.iter().any(|(path, seen)| path == folder.path() && matches!(seen, Seen::Folder(_))));
+    }
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn a_file_of_the_kernel_is_not_read_by_whatever_name() {
+        let folder = tempfile::tempdir().unwrap();
+        let link = folder.path().join("m.prj");
+        std::os::unix::fs::symlink("/proc/kmsg", &link).unwrap();
+        let hash = |_: &Path| -> Result<Digest, String> { panic!("it is read") };
+        let sight = Sight::new(&hash);
+        for path in [Path::new("/proc/self/status"), &link] {
+            assert!(sight.hash(path).unwrap_err().contains("is a file of the kernel"), "{}", path.display());
+        }
+        let file = std::fs::File::create(folder.path().join("a.csv")).unwrap();
+        let open = PathBuf::from(format!("/proc/self/fd/{}", std::os::fd::AsRawFd::as_raw_fd(&file)));
+        let digest = Digest::of(b"");
+        let hash = |_: &Path| Ok(digest);
+        assert_eq!(Sight::new(&hash).hash(&open), Ok(digest));
     }
 }

@@ -60,6 +60,14 @@ pub fn read_whole(reader: &mut dyn Read, cancelled: &dyn Fn() -> bool) -> std::i
     Ok(bytes)
 }
 
+/// Most bytes of a file beside another one that says which coordinate reference system that is in (`.prj`).
+pub const SYSTEM_FILE_BYTES: u64 = 1 << 16;
+
+/// The fault of a file that has more bytes than such a file may have; `what` says which one, and what it is.
+pub fn too_long(what: &str, most: u64) -> String {
+    format!("{what} has more than {} KiB, and is not read: is it another file by that name?", most >> 10)
+}
+
 /// Refuses values that would take more memory than the limit; `what` says what the file claims to hold.
 ///
 /// # Errors

@@ -355,16 +355,23 @@ impl<'a> Context<'a> {
         read.map_err(|e| StageError::new(format!("cannot read `{}`: {e}", file.0)))
     }
 
-    /// Reads the whole of the one file a parameter names, and of the `.prj` beside it where there is one.
+    /// Reads the whole of the one file a parameter names, and of the `.prj` beside it where there is one, which has at most
+    /// [`SYSTEM_FILE_BYTES`](crate::limits::SYSTEM_FILE_BYTES).
     pub fn read_georeferenced(&self, file: &GeoFileRef) -> Result<(Vec<u8>, Option<Vec<u8>>), StageError> {
+        const MOST: u64 = crate::limits::SYSTEM_FILE_BYTES;
         let mut files = self.files(&FilesRef(file.0.clone()))?.into_iter();
-        let mut next = || {
-            let read = |mut file: SourceFile| crate::limits::read_whole(&mut file.reader, &|| self.cancelled());
+        let mut next = |most: u64| {
+            let read = |file: SourceFile| crate::limits::read_whole(&mut file.reader.take(most), &|| self.cancelled());
             let bytes = files.next().map(read).transpose();
             bytes.map_err(|e| StageError::new(format!("cannot read `{}`: {e}", file.0)))
         };
-        let bytes = next()?.ok_or_else(|| StageError::new(format!("`{}` names no file", file.0)))?;
-        Ok((bytes, next()?))
+        let bytes = next(u64::MAX)?.ok_or_else(|| StageError::new(format!("`{}` names no file", file.0)))?;
+        let system = next(MOST + 1)?;
+        if system.as_ref().is_some_and(|system| system.len() as u64 > MOST) {
+            let what = format!("the `.prj` beside `{}`", file.0);
+            return Err(StageError::new(crate::limits::too_long(&what, MOST)));
+        }
+        Ok((bytes, system))
     }
 
     /// Logs something worth reading.

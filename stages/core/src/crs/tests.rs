@@ -534,3 +534,12 @@ fn a_prj_may_have_heights_after_the_map_and_be_utf_16() {
     assert_eq!(Stated::of_prj(b"EPSG:32633\n"), Stated::from_epsg(32633, None).unwrap());
     assert_eq!(Stated::of_prj(format!("{ESRI},{ESRI}").as_bytes()).kind, Kind::Unknown);
 }
+
+#[test]
+fn what_is_no_well_known_text_is_not_quoted() {
+    for text in ["Geheimnis 12345", "Geheimnis[1 Geheimnis", "GEHEIMNIS[\"a\" b]", "root:Geheimnis:0:0", "Geheimnis"] {
+        let stated = Stated::of_prj(text.as_bytes());
+        assert!(stated.kind == Kind::Unknown, "{text}");
+        assert!(!stated.name.to_lowercase().contains("geheimnis"), "{text}: {}", stated.name);
+    }
+}

@@ -126,7 +126,8 @@ impl Reader<'_> {
     fn node(&mut self, depth: usize) -> Result<Node, String> {
         let keyword = self.word()?;
         if depth > DEEPEST || !self.skip(&['[', '(']) {
-            return Err(format!("`{}` is not followed by a bracket", keyword.chars().take(40).collect::<String>()));
+            // The word itself is not told: the text may be that of a file which a link beside the data leads to.
+            return Err("it is not well-known text: a word is not followed by a bracket".to_owned());
         }
         let mut arguments = Vec::new();
         loop {
@@ -135,7 +136,7 @@ impl Reader<'_> {
                 return Ok(Node { keyword: keyword.to_ascii_uppercase(), arguments });
             }
             if !self.skip(&[',']) {
-                return Err(format!("a comma or a bracket is missing in `{keyword}`"));
+                return Err("it is not well-known text: a comma or a bracket is missing".to_owned());
             }
         }
     }

@@ -8,7 +8,7 @@ use crate::limits;
 /// Characters that separate cells, the likeliest first.
 const SEPARATORS: [char; 3] = [',', ';', '\t'];
 /// Columns a table may have, as many as a sheet of a spreadsheet: more are a file of another layout.
-const MOST_COLUMNS: usize = 16_384;
+pub const MOST_COLUMNS: usize = 16_384;
 /// Names of columns that a message lists.
 const LISTED: usize = 20;
 

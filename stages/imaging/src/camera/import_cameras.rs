@@ -1,5 +1,6 @@
 //! `import-cameras`: reads an image block, and the joint covariance of its orientation, from the files of other programs.
 
+use std::collections::HashMap;
 use std::io::Read;
 
 use crate::camera::camera_files::CameraFile;
@@ -165,23 +166,35 @@ const NO_ITEM: [char; 6] = ['/', '\\', ',', '=', '[', ']'];
 
 /// Gives images names that can be items of an axis: those of files in folders, as COLMAP has them, cannot.
 fn name_as_items(cameras: &mut Cameras, covariance: &mut Covariance, context: &Context) -> Result<(), StageError> {
+    let mut names: HashMap<String, usize> = HashMap::new();
+    cameras.images.iter().for_each(|image| *names.entry(image.name.clone()).or_default() += 1);
     let mut renamed = Vec::new();
+    let mut new_names = HashMap::new();
     for place in 0..cameras.images.len() {
         let name = cameras.images[place].name.replace(NO_ITEM, "_");
         let old = std::mem::replace(&mut cameras.images[place].name, name.clone());
         if old == name {
             continue;
         }
-        if cameras.images.iter().enumerate().any(|(other, image)| other != place && image.name == name) {
+        *names.entry(old.clone()).or_default() -= 1;
+        if names.get(&name).is_some_and(|count| *count > 0) {
             return Err(StageError::new(format!("image `{old}` would be called `{name}`, as another one is"))
                 .hint("rename one of the two where the cameras come from: names of images have none of / \\ , = [ ]"));
         }
-        cameras.sensors.iter_mut().filter(|sensor| sensor.name == old).for_each(|sensor| sensor.name.clone_from(&name));
-        let own = format!("{old}.");
-        for parameter in covariance.parameters.iter_mut().filter(|parameter| parameter.starts_with(&own)) {
-            *parameter = format!("{name}.{}", &parameter[own.len()..]);
-        }
+        *names.entry(name.clone()).or_default() += 1;
         renamed.push(format!("`{old}` is called `{name}`"));
+        new_names.insert(old, name);
+    }
+    for sensor in &mut cameras.sensors {
+        if let Some(name) = new_names.get(&sensor.name) {
+            sensor.name.clone_from(name);
+        }
+    }
+    for parameter in &mut covariance.parameters {
+        let parts = parameter.rsplit_once('.');
+        if let Some((name, term)) = parts.and_then(|(owner, term)| Some((new_names.get(owner)?, term))) {
+            *parameter = format!("{name}.{term}");
+        }
     }
     if let [first, others @ ..] = renamed.as_slice() {
         let others = if others.is_empty() { String::new() } else { format!(", and {} more likewise", others.len()) };

@@ -3,6 +3,7 @@
 //! Read here and not by a library because shared vertices must stay shared: loaders made for drawing split a mesh at
 //! every group and material, which tears a surface.
 
+use super::mesh_file::short;
 use rockface_core::artefact::{CodecError, Frame, Mesh};
 use rockface_core::limits::Stop;
 
@@ -56,7 +57,7 @@ fn read_line(line: &str, mesh: &mut Mesh) -> Result<(), String> {
         Some("v") => read_vertex(words, mesh),
         Some("f") => read_face(words, mesh),
         Some(word) if !WORDS.contains(&word) && mesh.vertices.is_empty() => {
-            Err(format!("`{}` is no word of the format", word.chars().take(40).collect::<String>()))
+            Err(format!("`{}` is no word of the format", short(word)))
         }
         _ => Ok(()),
     }
@@ -66,7 +67,7 @@ fn read_vertex<'a>(words: impl Iterator<Item = &'a str>, mesh: &mut Mesh) -> Res
     let mut values = [0.0f64; 7];
     let mut count = 0;
     for (word, value) in words.zip(&mut values) {
-        *value = word.parse().map_err(|_| format!("`{word}` is not a number"))?;
+        *value = word.parse().map_err(|_| format!("`{}` is not a number", short(word)))?;
         if !value.is_finite() {
             return Err(format!("the coordinate {value} is not finite"));
         }
@@ -102,7 +103,7 @@ fn read_face<'a>(words: impl Iterator<Item = &'a str>, mesh: &mut Mesh) -> Resul
 /// `7`, `7/1`, `7//3` or `7/1/3`, counted from 1; negative numbers count back from the latest vertex.
 fn corner(word: &str, vertices: usize) -> Result<u32, String> {
     let text = word.split('/').next().unwrap_or_default();
-    let number: i64 = text.parse().map_err(|_| format!("`{word}` is not a corner"))?;
+    let number: i64 = text.parse().map_err(|_| format!("`{}` is not a corner", short(word)))?;
     let place = if number < 0 { number.checked_add(vertices as i64) } else { number.checked_sub(1) };
     place.and_then(|place| u32::try_from(place).ok()).filter(|place| (*place as usize) < vertices).ok_or_else(|| {
         format!("corner {number} is not one of the {vertices} vertices before it (counted from 1, or back from -1)")

@@ -1,5 +1,6 @@
 //! Meshes as STL files, text or binary; their loose triangles are joined at exactly equal places.
 
+use super::mesh_file::short;
 use super::repair::Places;
 use rockface_core::artefact::{CodecError, Frame, Mesh};
 use rockface_core::limits;
@@ -104,7 +105,7 @@ fn read_text(bytes: &[u8], places: &mut Places) -> Result<Vec<[u32; 3]>, String>
             Some("solid" | "facet" | "outer" | "endfacet") => ended = false,
             Some("endsolid") => ended = true,
             Some(word) => {
-                return Err(at(format!("`{}` is no word of the format", word.chars().take(40).collect::<String>())));
+                return Err(at(format!("`{}` is no word of the format", short(word))));
             }
         }
     }
@@ -115,7 +116,7 @@ fn read_text(bytes: &[u8], places: &mut Places) -> Result<Vec<[u32; 3]>, String>
 }
 
 fn vertex<'a>(words: impl Iterator<Item = &'a str>) -> Result<[f64; 3], String> {
-    let number = |word: &str| word.parse::<f64>().map_err(|_| format!("`{word}` is not a number"));
+    let number = |word: &str| word.parse::<f64>().map_err(|_| format!("`{}` is not a number", short(word)));
     let values = words.map(number).collect::<Result<Vec<f64>, _>>()?;
     let count = values.len();
     let place: [f64; 3] = values.try_into().map_err(|_| format!("a vertex has 3 coordinates, not {count}"))?;

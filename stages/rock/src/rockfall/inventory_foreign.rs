@@ -4,6 +4,7 @@ use serde_json::Value;
 
 use rockface_core::artefact::{Cell, CodecError, Feature, Frame, Inventory, Polygon};
 use rockface_core::crs::{Kind, Stated};
+use rockface_core::format::table_file::MOST_COLUMNS;
 use rockface_core::format::without_mark;
 use rockface_core::limits;
 use rockface_core::names::twice;
@@ -26,6 +27,9 @@ pub fn read(bytes: &[u8]) -> Result<Inventory, CodecError> {
     let about = about(&file)?;
     let listed = about.as_ref().and_then(|about| about.columns.clone());
     let columns: Vec<String> = listed.clone().unwrap_or_else(|| names.into_iter().collect());
+    if listed.is_none() {
+        check_columns(features, columns.len())?;
+    }
     let cells = (features.len() as u64).checked_mul((columns.len() * size_of::<Cell>()) as u64);
     limits::affordable(
         &format!("an inventory of {} features with {} properties", features.len(), columns.len()),
@@ -46,6 +50,28 @@ pub fn read(bytes: &[u8]) -> Result<Inventory, CodecError> {
     };
     let features = features.iter().enumerate().map(read).collect::<Result<_, CodecError>>()?;
     Ok(Inventory { frame: about.map_or(Frame::World, |about| about.frame), columns, features })
+}
+
+/// Cells that are made of one property on average, at most: those of features that lack it are empty.
+const CELLS_OF_A_PROPERTY: usize = 64;
+/// Cells below which nobody counts.
+const FEW_CELLS: usize = 1 << 20;
+
+/// Refuses features whose properties have so many names that a table of them is far larger than the file.
+fn check_columns(features: &[Value], columns: usize) -> Result<(), CodecError> {
+    let count = |feature: &Value| feature.get("properties").and_then(Value::as_object).map_or(0, serde_json::Map::len);
+    let (rows, given) = (features.len(), features.iter().map(count).sum::<usize>());
+    let way = "is a value used as the name of a property?";
+    if columns > MOST_COLUMNS {
+        return Err(CodecError(format!("its properties have {columns} names, {MOST_COLUMNS} is the most; {way}")));
+    }
+    let cells = rows.saturating_mul(columns);
+    if cells > FEW_CELLS && cells / CELLS_OF_A_PROPERTY > given {
+        return Err(CodecError(format!(
+            "its {rows} features have {columns} properties by name, but only {given} values: of {cells} cells, each property a column, nearly all would be empty; {way}"
+        )));
+    }
+    Ok(())
 }
 
 /// What the member `rockface` of a file says about it.
@@ -186,9 +212,15 @@ mod tests {
     #[test]
     fn features_that_share_no_property_are_refused_before_they_fill_the_memory() {
         let feature = |number: usize| format!(r#"{{"properties": {{"p{number}": 1}}}}"#);
-        let features: Vec<String> = (0..20_000).map(feature).collect();
-        let message = read(format!(r#"{{"features": [{}]}}"#, features.join(",")).as_bytes()).unwrap_err().0;
-        assert!(message.contains("20000 features with 20000 properties would take"), "{message}");
+        let made = |count: usize| {
+            let features: Vec<String> = (0..count).map(feature).collect();
+            read(format!(r#"{{"features": [{}]}}"#, features.join(",")).as_bytes())
+        };
+        let message = made(20_000).unwrap_err().0;
+        assert!(message.contains("have 20000 names, 16384 is the most"), "{message}");
+        let message = made(4000).unwrap_err().0;
+        assert!(message.contains("4000 features have 4000 properties by name, but only 4000 values"), "{message}");
+        assert_eq!(made(1000).unwrap().columns.len(), 1000);
     }
 
     #[test]

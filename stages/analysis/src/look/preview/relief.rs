@@ -10,6 +10,8 @@ use super::WIDTH_PX;
 
 /// Up to so many triangles are drawn themselves; beyond it points are sampled.
 const TRIANGLES: usize = 200_000;
+/// How often triangles may lie over each other, on the whole, to be drawn themselves: each pixel is looked at so often.
+const LAYERS: f64 = 100.0;
 /// Points looked at of a mesh or surface that is sampled.
 const POINTS: usize = 600_000;
 /// Sampled points that a cell should have.
@@ -28,7 +30,7 @@ pub(super) fn elevations(shape: Shape, extent: [f64; 4]) -> Option<(Grid, Vec<f3
     let longest = (extent[1] - extent[0]).max(extent[3] - extent[2]);
     let room = (SMALL.room(WIDTH_PX) - 1) as f64;
     let cell = |count: f64| if longest > 0.0 { longest / count } else { 1.0 };
-    if is_small(shape) {
+    if is_small(shape) && layers(shape, extent) <= LAYERS {
         let grid = rasterise::grid_around(extent, cell(room)).ok()?;
         return Some((grid, rasterise::tin(shape, None, &grid)));
     }
@@ -45,6 +47,21 @@ fn is_small(shape: Shape) -> bool {
         Shape::Surface(surface) => 2 * surface.points.len() <= TRIANGLES,
         Shape::Cloud(_) => false,
     }
+}
+
+/// The boxes around the triangles of a mesh together, as far as they are within an extent, in units of its area.
+fn layers(shape: Shape, [left, right, bottom, top]: [f64; 4]) -> f64 {
+    let (Shape::Mesh(mesh) | Shape::Part(mesh, _)) = shape else { return 1.0 };
+    let span = |values: [f64; 3], low: f64, high: f64| {
+        let [least, most] = [f64::min, f64::max].map(|pick| values.into_iter().reduce(pick).unwrap_or(f64::NAN));
+        (most.min(high) - least.max(low)).max(0.0)
+    };
+    let area = |corners: &[u32; 3]| {
+        let along = |axis: usize| corners.map(|corner| mesh.vertices[corner as usize][axis]);
+        span(along(0), left, right) * span(along(1), bottom, top)
+    };
+    let whole = (right - left) * (top - bottom);
+    if whole > 0.0 { mesh.triangles.iter().map(area).sum::<f64>() / whole } else { 1.0 }
 }
 
 /// Mean elevation of every so many points in each cell.
@@ -94,4 +111,25 @@ pub(super) fn together(meshes: &Meshes) -> Mesh {
         triangles.extend(part.triangles.iter().map(|triangle| triangle.map(|corner| corner + first)));
     }
     Mesh { frame: meshes.frame, vertices, triangles, colours: Vec::new() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rockface_core::artefact::Frame;
+    use rockface_core::testing::height_mesh;
+
+    #[test]
+    fn triangles_that_lie_over_each_other_are_sampled() {
+        let sheet = height_mesh(4, [0.0, 4.0, 0.0, 2.0], |_, _| 0.0);
+        let extent = [0.0, 4.0, 0.0, 2.0];
+        let found = layers(Shape::Mesh(&sheet), extent);
+        assert!((found - 2.0).abs() < 1e-9, "{found}");
+        let vertices = vec![[0.0; 3], [4.0, 0.0, 0.0], [0.0, 2.0, 0.0]];
+        let fan = Mesh { frame: Frame::Wall, vertices, triangles: vec![[0, 1, 2]; 500], colours: Vec::new() };
+        let found = layers(Shape::Mesh(&fan), extent);
+        assert!((found - 500.0).abs() < 1e-9, "{found}");
+        let (grid, values) = elevations(Shape::Mesh(&fan), extent).unwrap();
+        assert!(values.len() == grid.cells() && values.iter().any(|z| !z.is_nan()));
+    }
 }

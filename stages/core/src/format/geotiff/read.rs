@@ -247,18 +247,10 @@ fn values(
             _ => Sample::Float,
         };
         let [band, left, top, width, height] = layout.place(chunk);
-        let interleaved = layout.interleaved();
-        let numbers = floats(&decoded, nodata, scalings.map(|scalings| &scalings[band..band + interleaved]))?;
-        if numbers.len() < width * height * interleaved {
-            return Err(damaged(&format!("chunk {chunk} holds {} values, {} expected", numbers.len(), width * height)));
-        }
-        for row in 0..height {
-            for (offset, plane) in planes[band..band + interleaved].iter_mut().enumerate() {
-                let start = (top + row) * layout.columns + left;
-                let source = numbers[row * width * interleaved + offset..].iter().step_by(interleaved);
-                plane[start..start + width].iter_mut().zip(source).for_each(|(to, from)| *to = *from);
-            }
-        }
+        let bands = band..band + layout.interleaved();
+        let scalings = scalings.map(|scalings| &scalings[bands.clone()]);
+        let place = Place { layout, chunk, left, top, width, height };
+        place.fill(&mut planes[bands], &decoded, nodata, scalings)?;
     }
     Ok((planes, sample))
 }
@@ -293,35 +285,71 @@ fn left_out(file: &mut File, layout: &Layout, nodata: Option<f64>) -> Result<Vec
     Ok(left_out)
 }
 
-/// Values as 32-bit floats, NaN where the file says there are none; `scalings` are those of the bands side by side.
-fn floats(decoded: &DecodingResult, nodata: Option<f64>, scalings: Option<&[Scaling]>) -> Result<Vec<f32>, CodecError> {
-    Ok(match decoded {
-        // The text of the no-data value is often shorter than its bits.
-        DecodingResult::F32(values) => cells(values, nodata.map(|n| f64::from(n as f32)), scalings),
-        DecodingResult::F64(values) => cells(values, nodata, scalings),
-        DecodingResult::U8(values) => cells(values, nodata, scalings),
-        DecodingResult::U16(values) => cells(values, nodata, scalings),
-        DecodingResult::U32(values) => cells(values, nodata, scalings),
-        DecodingResult::I8(values) => cells(values, nodata, scalings),
-        DecodingResult::I16(values) => cells(values, nodata, scalings),
-        DecodingResult::I32(values) => cells(values, nodata, scalings),
-        DecodingResult::U64(_) | DecodingResult::I64(_) | DecodingResult::F16(_) => {
-            return Err(CodecError::new("64-bit integers and 16-bit floats cannot be read; convert to 32-bit floats"));
-        }
-    })
+/// Where the values of a chunk go.
+struct Place<'a> {
+    layout: &'a Layout,
+    chunk: usize,
+    left: usize,
+    top: usize,
+    width: usize,
+    height: usize,
 }
 
-fn cells<T: Copy + Into<f64>>(values: &[T], nodata: Option<f64>, scalings: Option<&[Scaling]>) -> Vec<f32> {
-    let is_none = |number: f64| number.is_nan() || nodata == Some(number);
-    let numbers = values.iter().map(|value| (*value).into());
-    match scalings {
-        None => numbers.map(|number| if is_none(number) { f32::NAN } else { number as f32 }).collect(),
-        Some(scalings) => {
-            let value = |(number, scaling): (f64, &Scaling)| {
-                if is_none(number) { f32::NAN } else { scaling.value(number) as f32 }
-            };
-            numbers.zip(scalings.iter().cycle()).map(value).collect()
+impl Place<'_> {
+    /// Puts values into their planes as 32-bit floats, NaN where the file says there are none; `scalings` are those of the bands side by side.
+    fn fill(
+        &self,
+        planes: &mut [Vec<f32>],
+        decoded: &DecodingResult,
+        nodata: Option<f64>,
+        scalings: Option<&[Scaling]>,
+    ) -> Result<(), CodecError> {
+        match decoded {
+            // The text of the no-data value is often shorter than its bits.
+            DecodingResult::F32(values) => self.put(planes, values, nodata.map(|n| f64::from(n as f32)), scalings),
+            DecodingResult::F64(values) => self.put(planes, values, nodata, scalings),
+            DecodingResult::U8(values) => self.put(planes, values, nodata, scalings),
+            DecodingResult::U16(values) => self.put(planes, values, nodata, scalings),
+            DecodingResult::U32(values) => self.put(planes, values, nodata, scalings),
+            DecodingResult::I8(values) => self.put(planes, values, nodata, scalings),
+            DecodingResult::I16(values) => self.put(planes, values, nodata, scalings),
+            DecodingResult::I32(values) => self.put(planes, values, nodata, scalings),
+            DecodingResult::U64(_) | DecodingResult::I64(_) | DecodingResult::F16(_) => {
+                Err(CodecError::new("64-bit integers and 16-bit floats cannot be read; convert to 32-bit floats"))
+            }
         }
+    }
+
+    /// No copy of the chunk is made: it may be the whole raster.
+    fn put<T: Copy + Into<f64>>(
+        &self,
+        planes: &mut [Vec<f32>],
+        values: &[T],
+        nodata: Option<f64>,
+        scalings: Option<&[Scaling]>,
+    ) -> Result<(), CodecError> {
+        let Self { chunk, left, top, width, height, .. } = *self;
+        let (bands, needed) = (planes.len(), width * height);
+        if values.len() < needed * bands {
+            return Err(damaged(&format!("chunk {chunk} holds {} values, {needed} expected", values.len())));
+        }
+        let is_none = |number: f64| number.is_nan() || nodata == Some(number);
+        for row in 0..height {
+            for (offset, plane) in planes.iter_mut().enumerate() {
+                let start = (top + row) * self.layout.columns + left;
+                let source = values[row * width * bands + offset..].iter().step_by(bands);
+                let scaling = scalings.map(|scalings| &scalings[offset]);
+                for (to, from) in plane[start..start + width].iter_mut().zip(source) {
+                    let number: f64 = (*from).into();
+                    *to = match scaling {
+                        _ if is_none(number) => f32::NAN,
+                        None => number as f32,
+                        Some(scaling) => scaling.value(number) as f32,
+                    };
+                }
+            }
+        }
+        Ok(())
     }
 }
 

@@ -41,7 +41,7 @@ pub fn read(text: &str, list: Option<&str>, [width, height]: [u32; 2], frame: Fr
     let (mut sensors, mut images, mut left_out) = (Vec::new(), Vec::new(), Vec::new());
     for number in 0..count {
         let name = names.as_ref().map_or_else(|| format!("image{number}"), |names| names[number].clone());
-        let camera = values(&mut numbers, &name)?;
+        let camera = values(&mut numbers, number)?;
         if camera[0] == 0.0 {
             left_out.push(name);
             continue;
@@ -64,7 +64,7 @@ pub fn read(text: &str, list: Option<&str>, [width, height]: [u32; 2], frame: Fr
 
 fn whole<'a>(words: &mut impl Iterator<Item = &'a str>, what: &str) -> Result<usize, StageError> {
     let word = words.next().unwrap_or("");
-    word.parse().map_err(|_| StageError::new(format!("{what} is not there: `{word}`")))
+    word.parse().map_err(|_| StageError::new(format!("{what} is not there: the next word is no number")))
 }
 
 /// The first word of each line that has one; `None` without a list.
@@ -79,12 +79,17 @@ fn names(list: Option<&str>, count: usize) -> Result<Option<Vec<String>>, StageE
 }
 
 /// f, k1, k2, the rows of R, t.
-fn values<'a>(words: &mut impl Iterator<Item = &'a str>, name: &str) -> Result<[f64; 15], StageError> {
+fn values<'a>(words: &mut impl Iterator<Item = &'a str>, number: usize) -> Result<[f64; 15], StageError> {
     let mut values = [0.0; 15];
     for (place, value) in values.iter_mut().enumerate() {
         let word = words.next().unwrap_or("");
         *value = word.parse().map_err(|_| {
-            StageError::new(format!("camera `{name}`: number {} of 15 (f k1 k2, R, t) is `{word}`", place + 1))
+            // Neither name nor word are told: both files may be links in a folder, to what is not meant to be shown.
+            StageError::new(format!(
+                "camera {number} (counted from 0): number {} of 15 (f k1 k2, R, t) is {}",
+                place + 1,
+                if word.is_empty() { "missing" } else { "no number" }
+            ))
         })?;
     }
     Ok(values)
@@ -189,11 +194,16 @@ mod tests {
         says(FILE, Some("a.jpg"), "names 1 images, the Bundler file has 2");
         says(&FILE.replace("0 -1 0\n", "0 -2 0\n"), None, "R is not a rotation");
         says(&FILE.replace("0 -1 0\n", "0 nan 0\n"), None, "R is not a rotation");
-        says("# Bundle file v0.3\n1 0\n1 2", None, "camera `image0`: number 3 of 15");
+        says(
+            "# Bundle file v0.3\n1 0\n1 2",
+            None,
+            "camera 0 (counted from 0): number 3 of 15 (f k1 k2, R, t) is missing",
+        );
+        says("# Bundle file v0.3\n1 0\n1 hidden", None, "number 2 of 15 (f k1 k2, R, t) is no number");
         says("# Bundle file v0.3\nx", None, "the count of cameras");
         let endless = FILE.replacen("2 1", "9999999999999999 1", 1);
-        says(&endless, None, "camera `image2`: number 12 of 15");
-        says(&format!("# Bundle file v0.3\n{} 0\n", usize::MAX), None, "camera `image0`: number 1 of 15");
+        says(&endless, None, "camera 2 (counted from 0): number 12 of 15");
+        says(&format!("# Bundle file v0.3\n{} 0\n", usize::MAX), None, "camera 0 (counted from 0): number 1 of 15");
     }
 
     #[test]

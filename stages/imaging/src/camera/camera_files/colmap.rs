@@ -3,6 +3,8 @@
 //! COLMAP counts pixels from the corner of the first one, rockface from its centre. A COLMAP model that is not Brown-Conrady, or
 //! a sensor that no COLMAP model can hold, is an error that names it: nothing is approximated.
 
+use std::collections::{HashMap, HashSet};
+
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
 use rockface_core::artefact::{Image, Sensor};
@@ -87,7 +89,13 @@ fn opencv(model: &str, params: &[f64]) -> Result<[f64; 9], StageError> {
         ("SIMPLE_PINHOLE" | "PINHOLE" | "SIMPLE_RADIAL" | "RADIAL" | "OPENCV" | "FULL_OPENCV", _) => {
             fail!("model {model} does not have {} parameters", params.len())
         }
-        _ => return Err(StageError::new(format!("camera model `{model}` cannot be held")).hint(way_out())),
+        _ => {
+            let named =
+                model.len() <= 24 && model.bytes().all(|b| b.is_ascii_uppercase() || b.is_ascii_digit() || b == b'_');
+            let model =
+                if named { format!("camera model `{model}`") } else { "a camera model of that name".to_owned() };
+            return Err(StageError::new(format!("{model} cannot be held")).hint(way_out()));
+        }
     })
 }
 
@@ -129,8 +137,8 @@ pub type Numbered = (u64, Result<Sensor, StageError>);
 pub fn of_images(cameras: Vec<Numbered>, poses: &[Pose]) -> Result<Vec<(u64, Sensor)>, StageError> {
     check_once("CAMERA_ID", cameras.iter().map(|(id, _)| *id))?;
     check_once("IMAGE_ID", poses.iter().map(|pose| pose.id))?;
-    let has_image = |id: u64| poses.iter().any(|pose| pose.camera == id);
-    let needed = cameras.into_iter().filter(|(id, sensor)| sensor.is_ok() || has_image(*id));
+    let with_image: HashSet<u64> = poses.iter().map(|pose| pose.camera).collect();
+    let needed = cameras.into_iter().filter(|(id, sensor)| sensor.is_ok() || with_image.contains(id));
     needed.map(|(id, sensor)| Ok((id, sensor?))).collect()
 }
 
@@ -157,9 +165,19 @@ pub struct Pose {
     pub name: String,
 }
 
-/// The image of a pose: `C = -R^T t`.
-pub fn image(pose: &Pose, sensors: &[(u64, Sensor)]) -> Result<Image, StageError> {
-    let Some(sensor) = sensors.iter().position(|(id, _)| *id == pose.camera) else {
+/// The images of poses, whose cameras are among the sensors.
+///
+/// # Errors
+///
+/// A camera that is not there.
+pub fn images(poses: &[Pose], sensors: &[(u64, Sensor)]) -> Result<Vec<Image>, StageError> {
+    let places = sensors.iter().enumerate().map(|(place, (id, _))| (*id, place)).collect();
+    poses.iter().map(|pose| image(pose, &places)).collect()
+}
+
+/// The image of a pose: `C = -R^T t`; `places` says where each camera is.
+fn image(pose: &Pose, places: &HashMap<u64, usize>) -> Result<Image, StageError> {
+    let Some(sensor) = places.get(&pose.camera).copied() else {
         fail!("image `{}` names camera {}, which the model does not have", pose.name, pose.camera)
     };
     let [w, x, y, z] = pose.quaternion;

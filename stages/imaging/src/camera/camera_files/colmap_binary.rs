@@ -15,7 +15,7 @@ pub fn read(cameras: &[u8], images: &[u8], frame: Frame) -> Result<CameraFile, S
     let mut poses = records(images, pose).map_err(within("images.bin"))?;
     let sensors = colmap::of_images(cameras, &poses)?;
     poses.sort_by_key(|pose| pose.id);
-    let images = poses.iter().map(|pose| colmap::image(pose, &sensors)).collect::<Result<Vec<_>, _>>()?;
+    let images = colmap::images(&poses, &sensors)?;
     assemble(frame, sensors, images, Vec::new())
 }
 

@@ -16,7 +16,7 @@ pub fn read(cameras: &str, images: &str, frame: Frame) -> Result<CameraFile, Sta
     let mut poses = read_poses(images)?;
     let sensors = colmap::of_images(cameras, &poses)?;
     poses.sort_by_key(|pose| pose.id);
-    let images = poses.iter().map(|pose| colmap::image(pose, &sensors)).collect::<Result<Vec<_>, _>>()?;
+    let images = colmap::images(&poses, &sensors)?;
     assemble(frame, sensors, images, Vec::new())
 }
 
@@ -64,9 +64,10 @@ fn content(text: &str) -> impl Iterator<Item = (usize, &str)> {
     lines.filter(|(_, line)| !line.is_empty() && !line.starts_with('#'))
 }
 
+/// The words of a file in a folder are not told: a link may lead to a file that is not meant to be shown.
 fn number<T: FromStr>(word: Option<&str>, what: &str) -> Result<T, StageError> {
     let Some(word) = word else { fail!("{what} is missing") };
-    word.parse().map_err(|_| StageError::new(format!("{what}: `{word}` is not a number of its kind")))
+    word.parse().map_err(|_| StageError::new(format!("{what} is not a number of its kind")))
 }
 
 fn camera_id(line: &str) -> Result<u64, StageError> {
@@ -153,12 +154,14 @@ mod tests {
         says(model("1 FOV 9 7 9 9 1 1 0.9"), "line 1: camera model `FOV`");
         says(model("1 FULL_OPENCV 9 7 9 9 1 1 0 0 0 0 0 0.1 0 0"), "k4 = 0.1");
         says(model("1 PINHOLE 9 7 9 9 1"), "does not have 3 parameters");
-        says(model("# no\n1 PINHOLE 9 x 9 9 1 1"), "line 2: HEIGHT: `x`");
+        says(model("# no\n1 PINHOLE 9 x 9 9 1 1"), "line 2: HEIGHT is not a number");
         says(model("2 PINHOLE 9 7 9 9 1 1"), "names camera 1");
         let two = "1 PINHOLE 9 7 9 9 1 1\n";
         says(model(&two.repeat(2)), "CAMERA_ID 1 is there twice");
         says(read(two, &IMAGES.replace("\n2 ", "\n1 "), Frame::World), "IMAGE_ID 1 is there twice");
         assert_eq!(model(&format!("{two}9 FOV 9 7 9 9 1 1 0.9")).unwrap().cameras.sensors.len(), 1);
+        let strange = read("secret words 1 2 3", "not read", Frame::World).unwrap_err().message;
+        assert_eq!(strange, "cameras.txt, line 1: CAMERA_ID is not a number of its kind");
         let missing = "1 1 0 0 0 0 0 0 1 a.png\n2 1 0 0 0 0 0 0 1 b.png\n";
         says(read("1 PINHOLE 9 7 9 9 1 1", missing, Frame::World), "line 2: not points");
     }

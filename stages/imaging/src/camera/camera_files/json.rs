@@ -1,5 +1,7 @@
 //! Cameras from JSON: sensors with `f, cx, cy, k1, ...`, images with `q_wxyz` and `C`, or the cameras artefact of rockface.
 
+use std::collections::{HashMap, HashSet};
+
 use serde_json::{Map, Value};
 
 use super::{CameraFile, assemble, validated};
@@ -17,7 +19,7 @@ struct BlockFile {
 }
 
 /// What images name a sensor by: a number or a text.
-#[derive(Debug, Clone, PartialEq, serde::Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Hash, serde::Deserialize)]
 #[serde(untagged, expecting = "a sensor is named by a whole number or a text")]
 enum Id {
     Number(u64),
@@ -89,7 +91,8 @@ pub fn read(bytes: &[u8], frame: Frame) -> Result<CameraFile, StageError> {
             .hint("needed: sensors [{id, width, height, f, cx, cy, k1, ...}], images [{name, sensor, q_wxyz, C}]")
     })?;
     let notes = unused_keys(&file);
-    let images = file.images.iter().map(|i| image(i, &file.sensors)).collect::<Result<Vec<_>, StageError>>()?;
+    let places = places(&file.sensors);
+    let images = file.images.iter().map(|i| image(i, &file.sensors, &places)).collect::<Result<_, StageError>>()?;
     let sensors = file.sensors.iter().map(sensor).collect::<Result<Vec<_>, _>>()?;
     let numbered = (0..).zip(sensors).collect();
     let states_frame = file.frame.is_some();
@@ -97,14 +100,19 @@ pub fn read(bytes: &[u8], frame: Frame) -> Result<CameraFile, StageError> {
 }
 
 fn unused_keys(file: &BlockFile) -> Vec<String> {
-    let mut keys: Vec<String> = file.other.keys().cloned().collect();
-    for key in file.images.iter().flat_map(|image| image.other.keys()) {
-        let key = format!("images[].{key}");
-        if !keys.contains(&key) {
-            keys.push(key);
-        }
-    }
-    if keys.is_empty() { Vec::new() } else { vec![format!("keys of the file that are not used: {}", keys.join(", "))] }
+    let mut seen = HashSet::new();
+    let of_images = file.images.iter().flat_map(|image| image.other.keys());
+    let of_images = of_images.filter(|key| seen.insert(*key)).map(|key| format!("images[].{key}"));
+    let keys: Vec<String> = file.other.keys().cloned().chain(of_images).collect();
+    if keys.is_empty() { Vec::new() } else { vec![format!("keys of the file that are not used: {}", some(&keys))] }
+}
+
+/// Names for a message, the first ones where there are many.
+fn some(names: &[String]) -> String {
+    const SHOWN: usize = 20;
+    let beyond = names.len().saturating_sub(SHOWN);
+    let shown = names[..names.len() - beyond].join(", ");
+    if beyond == 0 { shown } else { format!("{shown} and {beyond} more") }
 }
 
 fn sensor(file: &SensorFile) -> Result<Sensor, StageError> {
@@ -143,11 +151,19 @@ fn focal(file: &SensorFile) -> Result<(f64, f64), StageError> {
     }
 }
 
-fn image(file: &ImageFile, sensors: &[SensorFile]) -> Result<Image, StageError> {
-    let mut places = (0..sensors.len()).filter(|i| sensors[*i].id == file.sensor);
-    let (Some(sensor), None) = (places.next(), places.next()) else {
+/// Where in the file the sensor of an id is; nothing for an id that two of them have.
+fn places(sensors: &[SensorFile]) -> HashMap<&Id, Option<usize>> {
+    let mut places = HashMap::new();
+    for (place, sensor) in sensors.iter().enumerate() {
+        places.entry(&sensor.id).and_modify(|found| *found = None).or_insert(Some(place));
+    }
+    places
+}
+
+fn image(file: &ImageFile, sensors: &[SensorFile], places: &HashMap<&Id, Option<usize>>) -> Result<Image, StageError> {
+    let Some(sensor) = places.get(&file.sensor).copied().flatten() else {
         let ids: Vec<_> = sensors.iter().map(|sensor| sensor.id.to_string()).collect();
-        fail!("image `{}` names sensor {}: needed once among the sensors {}", file.name, file.sensor, ids.join(", "))
+        fail!("image `{}` names sensor {}: needed once among the sensors {}", file.name, file.sensor, some(&ids))
     };
     Ok(Image { name: file.name.clone(), sensor, camera_from_object: file.q_wxyz, centre_m: file.centre_m })
 }
@@ -185,6 +201,21 @@ mod tests {
         let other = block.to_string().replace("\"sensor\":\"left\"", "\"sensor\":\"right\"");
         let message = read(other.as_bytes(), Frame::World).unwrap_err().message;
         assert!(message.contains("names sensor `right`: needed once among the sensors `left`"), "{message}");
+    }
+
+    #[test]
+    fn a_sensor_must_be_there_once_and_few_of_many_are_named() {
+        let image = |sensor: u32| json!({"name": "a", "sensor": sensor, "q_wxyz": [1, 0, 0, 0], "C": [1, 2, 3]});
+        let sensor = |id: u32| json!({"id": id, "width": 9, "height": 7, "f": 100, "cx": 4, "cy": 3});
+        let read = |ids: Vec<u32>, of: u32| {
+            let sensors: Vec<Value> = ids.into_iter().map(sensor).collect();
+            let images = [image(of)];
+            read(json!({"sensors": sensors, "images": images}).to_string().as_bytes(), Frame::Wall)
+        };
+        assert_eq!(read((0..30).collect(), 29).unwrap().cameras.images[0].sensor, 29);
+        assert!(read(vec![1, 2, 1], 1).unwrap_err().message.contains("needed once among the sensors 1, 2, 1"));
+        let message = read((0..30).collect(), 30).unwrap_err().message;
+        assert!(message.ends_with("18, 19 and 10 more"), "{message}");
     }
 
     #[test]

@@ -5,6 +5,8 @@
 //! p2 its P1, and the principal point moves by w/2 - 0.5. A camera's matrix takes its frame (x right, y down, z forward)
 //! to the chunk, the component's similarity the chunk to the world.
 
+use std::collections::{HashMap, HashSet};
+
 use nalgebra::Matrix3;
 
 use super::metashape_covariance::covariance;
@@ -48,11 +50,13 @@ pub fn read(text: &str, frame: Frame) -> Result<CameraFile, StageError> {
         return Err(StageError::new(format!("none of the {} images of the chunk is {what}", idle.len()))
             .hint("in Metashape: Workflow > Align Photos (and enable the photos), then export the cameras again"));
     }
+    let with_image: HashSet<&str> = used.iter().map(|camera| camera.sensor.as_str()).collect();
     let sensors: Vec<&SensorEntry> =
-        chunk.sensors.iter().filter(|sensor| used.iter().any(|camera| camera.sensor == sensor.id)).collect();
+        chunk.sensors.iter().filter(|sensor| with_image.contains(sensor.id.as_str())).collect();
     let numbered = sensors.iter().enumerate().map(|(at, entry)| Ok((number(entry, at), sensor(entry, &used)?)));
     let numbered = numbered.collect::<Result<Vec<_>, StageError>>()?;
-    let images = used.iter().map(|camera| image(camera, &chunk, &sensors)).collect::<Result<Vec<_>, _>>()?;
+    let places = sensors.iter().enumerate().map(|(place, sensor)| (sensor.id.as_str(), place)).collect();
+    let images = used.iter().map(|camera| image(camera, &chunk, &places)).collect::<Result<Vec<_>, _>>()?;
     let mut file = assemble(frame, numbered, images, Vec::new())?;
     if !idle.is_empty() {
         let names: Vec<&str> = idle.iter().take(NAMED).map(|camera| camera.label.as_str()).collect();
@@ -172,13 +176,12 @@ fn set(sensor: &mut Sensor, name: &str, value: f64) -> Result<(), &'static str> 
 
 /// The similarity an image is under, if its component or the chunk has one.
 pub(super) fn placed(chunk: &Chunk, camera: &CameraEntry) -> Option<Similarity> {
-    let of_component = |id: &String| chunk.components.iter().find(|(other, _)| other == id).map(|(_, s)| *s);
-    camera.component.as_ref().and_then(of_component).or(chunk.transform)
+    camera.component.as_ref().and_then(|id| chunk.components.get(id)).copied().or(chunk.transform)
 }
 
-fn image(camera: &CameraEntry, chunk: &Chunk, sensors: &[&SensorEntry]) -> Result<Image, StageError> {
+fn image(camera: &CameraEntry, chunk: &Chunk, places: &HashMap<&str, usize>) -> Result<Image, StageError> {
     let label = &camera.label;
-    let Some(sensor) = sensors.iter().position(|sensor| sensor.id == camera.sensor) else {
+    let Some(sensor) = places.get(camera.sensor.as_str()).copied() else {
         fail!("image `{label}` names sensor {}, which the file does not have", camera.sensor)
     };
     let Some((chunk_from_camera, centre)) = camera.transform else { fail!("image `{label}` is not aligned") };

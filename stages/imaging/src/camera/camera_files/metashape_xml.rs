@@ -1,5 +1,7 @@
 //! The content of a Metashape camera XML as plain values: sensors, cameras, components, without interpretation.
 
+use std::collections::HashMap;
+
 use nalgebra::{Matrix3, Vector3};
 use roxmltree::{Document, Node};
 
@@ -14,7 +16,7 @@ pub struct Chunk {
     /// Its cameras, in the order of the file.
     pub cameras: Vec<CameraEntry>,
     /// Similarity of each component (a part of the block aligned by itself), by its id.
-    pub components: Vec<(String, Similarity)>,
+    pub components: HashMap<String, Similarity>,
     /// Similarity of the chunk, in older files.
     pub transform: Option<Similarity>,
     /// Its coordinate reference system as WKT.
@@ -79,6 +81,7 @@ impl Similarity {
 ///
 /// Broken XML, no chunk or several, lists of numbers that are too short.
 pub fn read(text: &str) -> Result<Chunk, StageError> {
+    check_markup(text)?;
     let document = Document::parse(text).map_err(|e| StageError::new(format!("not valid XML: {e}")))?;
     let chunks: Vec<Node> = document.descendants().filter(|node| node.has_tag_name("chunk")).collect();
     let [chunk] = chunks[..] else {
@@ -86,16 +89,54 @@ pub fn read(text: &str) -> Result<Chunk, StageError> {
         return Err(StageError::new(format!("{} chunks ({}), one is needed", chunks.len(), labels.join(", ")))
             .hint("in Metashape: File > Export > Export Cameras, for one chunk, as Agisoft XML"));
     };
+    let components = below(chunk, "components", "component").filter_map(component);
+    let components = components.collect::<Result<Vec<(String, Similarity)>, _>>()?;
+    check_once("component", components.iter().map(|(id, _)| id.as_str()))?;
     let chunk = Chunk {
         sensors: below(chunk, "sensors", "sensor").map(sensor).collect::<Result<_, _>>()?,
         cameras: below(chunk, "cameras", "camera").map(camera).collect::<Result<_, _>>()?,
-        components: below(chunk, "components", "component").filter_map(component).collect::<Result<_, _>>()?,
+        components: components.into_iter().collect(),
         transform: child(chunk, "transform").map(similarity).transpose()?,
         reference: child(chunk, "reference").and_then(|node| node.text()).map(|text| text.trim().to_owned()),
     };
     check_once("sensor", chunk.sensors.iter().map(|sensor| sensor.id.as_str()))?;
-    check_once("component", chunk.components.iter().map(|(id, _)| id.as_str()))?;
     Ok(chunk)
+}
+
+/// Most attributes of an element, each of which is compared with all others, and most namespaces of a file.
+const MOST_ATTRIBUTES: usize = 1024;
+
+/// Refuses what a reader of XML would take long for: elements of very many attributes, and very many namespaces.
+fn check_markup(text: &str) -> Result<(), StageError> {
+    if text.matches("xmlns").nth(MOST_ATTRIBUTES).is_some() {
+        fail!("not the XML of a camera file: it names more than {MOST_ATTRIBUTES} namespaces");
+    }
+    let mut rest = text;
+    while let Some(at) = rest.find('<') {
+        rest = &rest[at..];
+        let within = [("<!--", "-->"), ("<![CDATA[", "]]>"), ("<?", "?>")];
+        if let Some((_, end)) = within.into_iter().find(|(start, _)| rest.starts_with(start)) {
+            rest = rest.find(end).map_or("", |at| &rest[at..]);
+            continue;
+        }
+        let (mut attributes, mut quote) = (0, None);
+        let end = rest.bytes().position(|byte| {
+            match (byte, quote) {
+                (b'"' | b'\'', None) => quote = Some(byte),
+                (b'=', None) => attributes += 1,
+                _ if quote == Some(byte) => quote = None,
+                _ => {}
+            }
+            (quote.is_none() && byte == b'>') || attributes > MOST_ATTRIBUTES
+        });
+        if attributes > MOST_ATTRIBUTES {
+            let line = text[..text.len() - rest.len()].matches('\n').count() + 1;
+            fail!("not the XML of a camera file: line {line}: an element of more than {MOST_ATTRIBUTES} attributes");
+        }
+        // A quote or a bracket is ASCII: what follows begins a character.
+        rest = end.map_or("", |end| &rest[end..]);
+    }
+    Ok(())
 }
 
 fn check_once<'a>(what: &str, ids: impl Iterator<Item = &'a str>) -> Result<(), StageError> {
@@ -226,4 +267,23 @@ fn similarity(node: Node) -> Result<Similarity, StageError> {
         fail!("{}: a scale of {scale}", place(node));
     }
     Ok(Similarity { rotation, translation: translation.into(), scale })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn very_many_attributes_and_namespaces_are_refused_before_they_are_compared() {
+        let element = |name: &str, count: usize| {
+            let attributes: String = (0..count).map(|i| format!(" {name}{i}='>\u{e9} = <'")).collect();
+            format!("<?xml version='1.0'?>\n<!-- ' --><a>\n<b{attributes}/><![CDATA[ \" ]]></a>")
+        };
+        assert_eq!(check_markup(&element("x", 1024)), Ok(()));
+        let message = check_markup(&element("x", 1025)).unwrap_err().message;
+        assert!(message.contains("line 3: an element of more than 1024 attributes"), "{message}");
+        let message = check_markup(&element("xmlns:x", 1025)).unwrap_err().message;
+        assert!(message.contains("more than 1024 namespaces"), "{message}");
+        assert_eq!(check_markup("<a 'never ends <b>"), Ok(()));
+    }
 }

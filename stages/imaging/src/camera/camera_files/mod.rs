@@ -63,10 +63,17 @@ pub fn assemble(
     notes: Vec<String>,
 ) -> Result<CameraFile, StageError> {
     let mut sensors = Vec::with_capacity(numbered.len());
-    for (index, (id, mut sensor)) in numbered.into_iter().enumerate() {
-        let mut users = images.iter().filter(|image| image.sensor == index);
-        sensor.name = match (users.next(), users.next()) {
-            (Some(only), None) => only.name.clone(),
+    // How many images use each sensor, and the first of them.
+    let mut users: Vec<(usize, Option<&Image>)> = vec![(0, None); numbered.len()];
+    for image in &images {
+        if let Some((count, first)) = users.get_mut(image.sensor) {
+            *count += 1;
+            *first = first.or(Some(image));
+        }
+    }
+    for ((id, mut sensor), users) in numbered.into_iter().zip(users) {
+        sensor.name = match users {
+            (1, Some(only)) => only.name.clone(),
             _ if !sensor.name.is_empty() => sensor.name,
             _ => format!("sensor{id}"),
         };

@@ -306,3 +306,16 @@ fn faces_that_look_down_or_along_what_is_given_as_outward_are_warned_of() {
     assert!(along.len() == 1 && along[0].contains("in equal parts"), "{along:?}");
     assert_eq!(warnings(&upright, &json!({"outward": [0.03, 1, 0]})), Vec::<String>::new());
 }
+
+#[test]
+fn a_file_that_is_too_long_for_a_system_is_not_read() {
+    let obj = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n";
+    let read = |system: &[u8]| {
+        let host = TestHost::default().with("m.obj", &[("m.obj", obj), ("m.prj", system)]);
+        run_stage::<ImportMesh>(&host, &json!({"path": "m.obj", "min_piece_triangles": 1}), &[]).map(drop)
+    };
+    let message = read(&vec![b' '; (1 << 16) + 1]).unwrap_err().message;
+    assert!(message.contains("the `.prj` beside `m.obj` has more than 64 KiB, and is not read"), "{message}");
+    let message = read(b"hidden words").unwrap_err().message;
+    assert!(message.contains("cannot be read: it is not well-known text") && !message.contains("hidden"), "{message}");
+}
