@@ -113,7 +113,7 @@ fn numbers_that_cannot_be_are_refused_with_those_that_can() {
         (&["run", "p.yaml", "-j", "-1"], "jobs from 1 to 1024"),
         (&["run", "p.yaml", "--memory", "-3"], "a number of GiB above 0"),
         (&["store", "gc", "--max-age", "-1"], "a number from 0"),
-        (&["store", "gc", "--max-size", "-1"], "a number from 0"),
+        (&["store", "gc", "--max-size", "-1"], "a size from 0"),
         (&["inspect", "x", "--pixel", "-1,2"], "whole numbers from 0"),
     ] {
         let (code, _, err) = house.rockface(arguments);
