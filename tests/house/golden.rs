@@ -159,7 +159,8 @@ fn every_column_that_people_open_is_explained() {
     let mut missing = BTreeSet::new();
     for (instance, result) in ran.summary.instances.iter().enumerate() {
         let step = ran.plan.step(instance);
-        let axes: Vec<&str> = ran.plan.point(instance).keys().map(AsRef::as_ref).collect();
+        let point = ran.plan.point(instance);
+        let axes: Vec<&str> = point.keys().map(AsRef::as_ref).collect();
         if !EXPLAINED.contains(&step.stage.name()) {
             continue;
         }

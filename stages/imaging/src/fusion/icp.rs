@@ -32,6 +32,9 @@ const STOP_SHARE: f64 = 0.25;
 /// second pass are worse than those of the first from half a spacing of noise on.
 const FITTING: f64 = 4.0;
 
+/// What rounding may put a point outside of a triangle on whose edge it is, as a share of its sides.
+const EDGE: f64 = 1e-9;
+
 /// Which distances between paired points are minimised.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Method {
@@ -68,6 +71,8 @@ pub struct Settings {
     pub max_iterations: usize,
     /// Least eigenvalue, as a share of the largest, of a direction that the registration may move along.
     pub weak_eigenvalue: f64,
+    /// Whether points are held against the surface between the points of the target, along Z, rather than against its points.
+    pub between_points: bool,
 }
 
 /// The transform that was found, how well it fits, and how certain it is.
@@ -296,11 +301,32 @@ impl Fit<'_> {
         finer.or_else(|| self.normals.at(place))
     }
 
+    /// The height of the target in plan at a point, by the triangles about the nearest place, metres; `None` where none covers it.
+    fn height_m(&self, place: usize, at: &Vector3<f64>) -> Option<f64> {
+        let (row, column) = (place / self.target.width, place % self.target.width);
+        let rows = row.saturating_sub(1)..(row + 1).min(self.target.height - 1);
+        let columns = column.saturating_sub(1)..(column + 1).min(self.target.width - 1);
+        let squares = rows.flat_map(|row| columns.clone().map(move |column| (row, column)));
+        squares.flat_map(|(row, column)| self.target.triangles(row, column)).find_map(|corners| {
+            let [a, b, c] = corners.map(|corner| local(self.target, corner));
+            let (u, v, w) = ((b - a).xy(), (c - a).xy(), (at - a).xy());
+            let twice_area = u.perp(&v);
+            let (of_b, of_c) = (w.perp(&v) / twice_area, u.perp(&w) / twice_area);
+            let is_within = of_b >= -EDGE && of_c >= -EDGE && of_b + of_c <= 1.0 + EDGE;
+            is_within.then(|| a.z + of_b * (b.z - a.z) + of_c * (c.z - a.z))
+        })
+    }
+
     /// A point at a pose and its partner, where it has one with a normal within the search distance.
     fn pair(&self, pose: &Pose, moving: &Moving) -> Option<Pair> {
-        moving.partner.place()?;
+        let place = moving.partner.place()?;
         let arm = pose.rotation * moving.arm;
-        let (normal, offset) = (moving.normal?, arm + pose.translation - moving.target);
+        let (normal, at) = (moving.normal?, arm + pose.translation);
+        let offset = if self.settings.between_points {
+            Vector3::new(0.0, 0.0, at.z - self.height_m(place, &at)?)
+        } else {
+            at - moving.target
+        };
         (offset.norm_squared() <= self.search_m * self.search_m).then_some(Pair { arm, offset, normal })
     }
 }

@@ -51,6 +51,9 @@ params! {
         /// Directions with a smaller eigenvalue of the normal equations, as a share of the largest, are left alone. The
         /// default stands for slopes of 10 %: matching noise tilts a plane by some 4 %, and must not hold it in place.
         weak_eigenvalue: f64 = 0.01; Range::Between(0.0, 1.0),
+        /// Holds points in plan against the surface between the points of the target, along Z, rather than against its nearest points: on a
+        /// face with ledges these hold the source where it is.
+        between_points: bool = false,
     }
 }
 
@@ -82,6 +85,13 @@ impl Stage for RegisterIcp {
             context.headline("not registered, as asked");
             return Ok(Outputs::of("transform", Transform::identity("source", "target")));
         };
+        let is_by_height = settings.method == icp::Method::PointToPlane && settings.pairing == icp::Pairing::InPlan;
+        if settings.between_points && !is_by_height {
+            return Err(StageError::new(
+                "`between_points` compares heights, so it needs the method `point_to_plane` and pairs in plan",
+            )
+            .hint("bring both surfaces into the wall frame, or leave `between_points` out"));
+        }
         let registration = icp::register(&source, &target, &settings)?;
         report(&registration, context);
         Ok(Outputs::of("transform", registration.transform))
@@ -117,6 +127,7 @@ fn settings(params: &RegisterIcpParams, frame: Frame) -> Option<Settings> {
         points: params.points as usize,
         max_iterations: params.max_iterations as usize,
         weak_eigenvalue: params.weak_eigenvalue,
+        between_points: params.between_points,
     })
 }
 
@@ -230,6 +241,23 @@ mod tests {
         let Artefact::Transform(transform) = &made["transform"] else { panic!("none") };
         let moved = transform.apply(&nalgebra::Point3::new(12.0, 18.5, 0.0));
         assert!((moved - nalgebra::Point3::new(12.0, 18.5, -0.02)).norm() < 2e-3, "{moved}");
+    }
+
+    #[test]
+    fn heights_are_compared_in_plan_only() {
+        let run = |extra: serde_json::Value| {
+            let mut params = json!({"between_points": true});
+            params.as_object_mut().unwrap().extend(extra.as_object().unwrap().clone());
+            let inputs = [
+                ("source", Arc::new(Artefact::Surface(flat(1.0)))),
+                ("target", Arc::new(Artefact::Surface(flat(0.0)))),
+            ];
+            rockface_core::testing::run_stage::<RegisterIcp>(&TestHost::default(), &params, &inputs).map(drop)
+        };
+        assert!(run(json!({})).is_ok());
+        for extra in [json!({"pairing": "space"}), json!({"method": "point_to_point"})] {
+            assert!(run(extra).unwrap_err().message.contains("needs the method `point_to_plane`"));
+        }
     }
 
     #[test]

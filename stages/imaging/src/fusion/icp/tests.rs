@@ -15,6 +15,7 @@ const SETTINGS: Settings = Settings {
     points: 5000,
     max_iterations: 50,
     weak_eigenvalue: 1e-4,
+    between_points: false,
 };
 
 /// A grid of 200 x 150 points 5 cm apart at UTM coordinates, moved by a transform.
@@ -202,4 +203,34 @@ fn a_tenth_of_the_points_must_meet_the_target() {
     // Of 200 columns.
     assert!(left_part(12).unwrap_err().message.contains("do not overlap"));
     assert!(left_part(40).is_ok());
+}
+
+/// A face of blocks with steps of up to 0.3 m every metre, with fine relief, and noise of 3 mm that the key chooses.
+fn blocks(key: u8) -> impl Fn(f64, f64) -> f64 {
+    let (steps, fine, noise) = (Key([7; 32]).field(), Key([8; 32]).field(), Key([key; 32]).field());
+    move |x, y| {
+        let block = 0.1 * steps.normal(x.floor() as i32, y.floor() as i32).clamp(-1.5, 1.5);
+        // Squares of 0.2 m with bilinear relief between their corners.
+        let (u, v) = (x / 0.2, y / 0.2);
+        let (i, j, du, dv) = (u.floor() as i32, v.floor() as i32, u - u.floor(), v - v.floor());
+        let corner = |di: i32, dj: i32| 0.04 * fine.normal(i + di, j + dj);
+        let relief = (1.0 - dv) * ((1.0 - du) * corner(0, 0) + du * corner(1, 0))
+            + dv * ((1.0 - du) * corner(0, 1) + du * corner(1, 1));
+        block + relief + 0.003 * noise.normal((x * 1e4) as i32, (y * 1e4) as i32)
+    }
+}
+
+#[test]
+fn ledges_hold_points_where_they_are_and_the_surface_between_does_not() {
+    // Both are sampled at the same places in plan, as rasters and fused surfaces are: the source is another 6 mm along X, -15 mm along Y.
+    let (first, second) = (blocks(1), blocks(2));
+    let (source, target) = (surface(|x, y| first(x - 0.006, y + 0.015), &still()), surface(second, &still()));
+    let off_m = |between_points: bool, trim: f64| {
+        let settings = Settings { points: 20_000, weak_eigenvalue: 0.01, trim, between_points, ..SETTINGS };
+        let found = register(&source, &target, &settings).unwrap().transform;
+        let middle = Point3::new(451_005.0, 5_512_003.75, 300.0);
+        (found.apply(&middle) - middle - Vector3::new(-0.006, 0.015, 0.0)).xy().norm()
+    };
+    assert!(off_m(false, 0.9) > 0.004, "points: {}", off_m(false, 0.9));
+    assert!(off_m(true, 0.9) < 0.0015, "between: {}", off_m(true, 0.9));
 }
