@@ -86,6 +86,7 @@ pub fn stage(room: &[&'static dyn AnyStage], name: &str) -> &'static dyn AnyStag
 }
 
 /// A file of the shared data; `None`, and a line saying so, where the data is not there.
+#[allow(clippy::print_stdout)] // in tests only
 pub fn shared(path: &str) -> Option<Vec<u8>> {
     let file = std::path::Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data")).join(path);
     let bytes = std::fs::read(&file).ok();

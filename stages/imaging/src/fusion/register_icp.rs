@@ -248,10 +248,7 @@ mod tests {
         let run = |extra: serde_json::Value| {
             let mut params = json!({"between_points": true});
             params.as_object_mut().unwrap().extend(extra.as_object().unwrap().clone());
-            let inputs = [
-                ("source", Arc::new(Artefact::Surface(flat(1.0)))),
-                ("target", Arc::new(Artefact::Surface(flat(0.0)))),
-            ];
+            let inputs = [("source", Artefact::from(flat(1.0))), ("target", Artefact::from(flat(0.0)))];
             rockface_core::testing::run_stage::<RegisterIcp>(&TestHost::default(), &params, &inputs).map(drop)
         };
         assert!(run(json!({})).is_ok());
