@@ -244,6 +244,10 @@ fn faces_outward(wall_from_world: &Transform, plane: &Plane) -> Result<(), Stage
     if z > 0.0 {
         return Ok(());
     }
+    if z > -LEAST_COSINE {
+        return Err(StageError::new("the triangles face all sides alike: this is a closed body, and no face")
+            .hint("keep the side of it that the cameras see, or turn all triangles of the face outward"));
+    }
     let message = format!("in the wall frame the triangles' mean normal has Z = {z:.3}: they face into the rock");
     Err(StageError::new(message).hint("flip the triangles, or correct the given transform: Z points out of the rock"))
 }

@@ -98,6 +98,10 @@ fn a_direction_along_the_face_does_not_tell_its_outer_side() {
     let both_sides = Mesh { triangles: vec![[0, 1, 2], [0, 2, 1], [0, 2, 3], [0, 3, 2]], ..wall() };
     let error = run(&json!({"outward": [1, 0.01, 0]}), both_sides, None).unwrap_err();
     assert!(error.message.contains("neither triangles nor cameras tell"), "{error}");
+    // With a direction it is known where the outside is, and that the triangles do not face it.
+    let both_sides = Mesh { triangles: vec![[0, 1, 2], [0, 2, 1], [0, 2, 3], [0, 3, 2]], ..wall() };
+    let error = run(&json!({"outward": [0, -1, 0]}), both_sides, None).unwrap_err();
+    assert!(error.message.contains("a closed body, and no face"), "{error}");
 }
 
 #[test]
