@@ -152,19 +152,22 @@ pub enum StoreError {
 
 /// What may help where the system refused something.
 fn way_out(path: &Path, source: &io::Error) -> String {
-    let refused = || (source.kind() == io::ErrorKind::PermissionDenied).then(|| owner_who_may_open(path)).flatten();
     match source.kind() {
         io::ErrorKind::FileTooLarge => {
             "raise the limit on the size of files (`ulimit -f`), or use another file system".to_owned()
         }
-        _ => refused().unwrap_or_else(|| "check that the path exists and that you may use it".to_owned()),
+        _ => way_in(path, source).unwrap_or_else(|| "check that the path exists and that you may use it".to_owned()),
     }
 }
 
 /// What may help besides another store where one can only be read: nothing where its disk is mounted so.
 fn way_to_write(path: &Path, source: &io::Error) -> String {
-    let refused = (source.kind() == io::ErrorKind::PermissionDenied).then(|| owner_who_may_open(path)).flatten();
-    refused.map_or_else(String::new, |way| format!("; {way}"))
+    way_in(path, source).map_or_else(String::new, |way| format!("; {way}"))
+}
+
+/// Who lets this user use a path, where it is refused.
+fn way_in(path: &Path, source: &io::Error) -> Option<String> {
+    (source.kind() == io::ErrorKind::PermissionDenied).then(|| owner_who_may_open(path)).flatten()
 }
 
 /// Whose a path in a store is that this user may not use, or the nearest folder around it that can be looked at, and what its owner can do;

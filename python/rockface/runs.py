@@ -8,6 +8,7 @@ import itertools
 import json
 import re
 import tempfile
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -503,8 +504,6 @@ def _is_output(file: Path, digest: str) -> bool:
     try:
         from blake3 import blake3
     except ImportError:
-        import warnings
-
         # Once, as Python tells a warning of one place.
         warnings.warn("outputs are not compared with their BLAKE3: `pip install blake3`", RuntimeWarning, stacklevel=2)
         return True

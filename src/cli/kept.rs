@@ -167,7 +167,7 @@ fn records(count: usize) -> String {
     format!("{count} record{}", if count == 1 { "" } else { "s" })
 }
 
-/// The run folder that a note tells of.
+/// The run folder in a note.
 fn folder_of(note: &Value) -> Option<PathBuf> {
     note.get("folder")?.as_str().map(PathBuf::from)
 }

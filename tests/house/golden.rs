@@ -55,7 +55,7 @@ impl Made {
     }
 }
 
-/// Whether a line of the list tells of other outputs than another with the same stage, version and question.
+/// Whether a line of the list has other outputs than another with the same stage, version and question.
 fn is_unversioned(pin: &str, pinned: &BTreeSet<&str>) -> bool {
     let Some((asked, _)) = pin.rsplit_once(' ') else { return false };
     !pinned.contains(pin) && pinned.iter().any(|known| known.rsplit_once(' ').is_some_and(|(known, _)| known == asked))

@@ -135,7 +135,7 @@ fn what_is_never_sent_is_refused_and_passwords_are_not_shown() {
         assert!(fault.contains(place) && fault.contains(way) && !fault.contains("S3cret"), "{text}: {fault}");
     }
     assert_eq!(open("https://host/a").unwrap().url(), "https://host/a");
-    // An endpoint comes from the environment, and what fails tells of it.
+    // An endpoint comes from the environment, and the error names it.
     let endpoint = "http://alice:S3cret@127.0.0.1:1/x?sig=S3cret";
     let variables = [("AWS_ENDPOINT_URL", endpoint), ("AWS_ACCESS_KEY_ID", "a"), ("AWS_SECRET_ACCESS_KEY", "b")];
     let variables = variables.into_iter().chain([("AWS_REGION", "eu-central-1"), ("ROCKFACE_REMOTE_TIMEOUT", "1")]);

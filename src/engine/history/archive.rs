@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 use rockface_cache::{Digest, NameError, OutputRecord, SafeName, SafePath, Store, StoreError};
 use rockface_core::artefact::Kind;
 
+use super::file_names::RUN_FILES;
 use super::sources::source_files;
 use super::{HistoryError, Manifest, PastRun, StepDone, output_folder};
 
@@ -121,17 +122,6 @@ fn in_store(store: &Store, digest: &Digest) -> Result<Option<Vec<u8>>, StoreErro
     }
 }
 
-/// The files that a run writes into its folder, beside those of its outputs.
-const OWN: [&str; 7] = [
-    "run.json",
-    "pipeline.yaml",
-    "run.mcap",
-    "ro-crate-metadata.json",
-    "foxglove-layout.json",
-    super::REPORT_FILE,
-    super::POINTS_FILE,
-];
-
 /// The files of a run folder that a run writes, relative to it, sorted: its own, and below `outputs` those of the outputs that its
 /// manifest names, with their further files (tables, parts), which lie in the folder of an output. Also how many entries are others: whoever
 /// has sent the folder may have put files there under any name.
@@ -143,7 +133,7 @@ fn files_of(
     let places: BTreeSet<&Path> = made.keys().filter_map(|path| path.parent()).collect();
     let is_of_run = |path: &SafePath| match path.parent() {
         None => false,
-        Some(top) if top.as_os_str().is_empty() => OWN.iter().any(|name| **path == *Path::new(name)),
+        Some(top) if top.as_os_str().is_empty() => RUN_FILES.iter().any(|name| **path == *Path::new(name)),
         Some(_) => path.starts_with("outputs") && path.ancestors().skip(1).any(|folder| places.contains(folder)),
     };
     let (mut found, mut strange, mut folders) = (Vec::new(), 0, vec![PathBuf::new()]);
@@ -221,7 +211,7 @@ impl Packing<'_> {
         let opened = File::open(&file).map_err(HistoryError::io("read", &file))?;
         let (found, size) = Digest::of_reader(opened).map_err(HistoryError::io("read", &file))?;
         let changed = |digest| {
-            let manifest = run.folder.join("run.json");
+            let manifest = run.folder.join(super::MANIFEST_FILE);
             HistoryError::Changed { path: file.clone(), digest, manifest }
         };
         if let Some(digest) = made.filter(|digest| *digest != found) {

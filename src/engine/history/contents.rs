@@ -8,9 +8,6 @@ use rockface_core::Entry;
 use super::Manifest;
 use crate::plan::Graph;
 
-/// The name of the page of a run in its folder.
-pub const REPORT_FILE: &str = "report.html";
-
 /// A run and where its files are.
 #[derive(Clone, Copy)]
 pub struct RunContents<'a> {

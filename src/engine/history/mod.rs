@@ -3,6 +3,7 @@
 mod archive;
 mod compare;
 mod contents;
+mod file_names;
 mod inputs;
 mod manifest;
 mod places;
@@ -15,12 +16,13 @@ use std::path::{Path, PathBuf};
 
 pub use archive::{ARCHIVE_MARK, Archived, Contents, archive};
 pub use compare::{Comparison, Row, compare};
-pub use contents::{REPORT_FILE, RunContents};
+pub use contents::RunContents;
+pub use file_names::{CRATE_FILE, LAYOUT_FILE, LOG_FILE, MANIFEST_FILE, PIPELINE_FILE, POINTS_FILE, REPORT_FILE};
 pub use manifest::{
     FORMAT, FileUsed, IncludedText, ItemValues, Manifest, Metric, Overridden, PartUsed, PipelineText, StepDone,
 };
 pub use places::{output_folder, readable_name};
-pub use points::{POINTS_FILE, table as points_table};
+pub use points::table as points_table;
 pub use provenance::crate_metadata;
 pub use torn::digests_told;
 
@@ -134,7 +136,7 @@ impl PastRun {
     ///
     /// When its manifest is missing or not readable.
     pub fn open(folder: &Path) -> Result<Self, HistoryError> {
-        let manifest = Manifest::read(&folder.join("run.json"))?;
+        let manifest = Manifest::read(&folder.join(MANIFEST_FILE))?;
         let folder = std::path::absolute(folder).map_err(HistoryError::io("find", folder))?;
         let name = folder.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
         let pin = folder.join(PIN);
@@ -237,7 +239,7 @@ pub fn last_asked_for(run: &PastRun) -> std::time::SystemTime {
 /// would be collected.
 pub fn may_be_run(folder: &Path) -> bool {
     use std::io::ErrorKind::{NotADirectory, NotFound};
-    match std::fs::metadata(folder.join("run.json")) {
+    match std::fs::metadata(folder.join(MANIFEST_FILE)) {
         Ok(meta) => meta.is_file(),
         Err(fault) => !matches!(fault.kind(), NotFound | NotADirectory),
     }
@@ -270,7 +272,7 @@ fn names(runs: &Path) -> Result<Vec<String>, HistoryError> {
 /// When none or several fit, or its manifest cannot be read.
 pub fn find(runs: &Path, name: &str) -> Result<PastRun, HistoryError> {
     let given = Path::new(name);
-    let given = if given.file_name().is_some_and(|file| file == "run.json") {
+    let given = if given.file_name().is_some_and(|file| file == MANIFEST_FILE) {
         given.parent().map_or_else(|| PathBuf::from("."), Path::to_owned)
     } else {
         given.to_owned()

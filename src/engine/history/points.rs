@@ -6,9 +6,6 @@ use serde_json::Value;
 
 use super::{Manifest, StepDone};
 
-/// The file of a run folder that has the table.
-pub const POINTS_FILE: &str = "points.csv";
-
 type Point = BTreeMap<String, String>;
 
 /// The table as CSV; `None` where no step has logged a number.

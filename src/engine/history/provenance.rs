@@ -11,14 +11,11 @@ use rockface_cache::RecipeInput;
 use serde_json::{Value, json};
 
 use super::manifest::{Manifest, StepDone};
+use super::{CRATE_FILE, LOG_FILE, MANIFEST_FILE, PIPELINE_FILE, POINTS_FILE, REPORT_FILE};
 use crate::watch::moment;
 
 /// Runs of more instances are described as a whole, without an action for each.
 const ACTIONS_LIMIT: usize = 2000;
-/// The manifest: its name in the run folder.
-const MANIFEST: &str = "run.json";
-/// The pipeline: its name in the run folder.
-const PIPELINE: &str = "pipeline.yaml";
 /// The profiles the crate conforms to: address, name, version.
 const PROFILES: [(&str, &str, &str); 4] = [
     ("https://w3id.org/ro/wfrun/process/0.5", "Process Run Crate", "0.5"),
@@ -105,8 +102,8 @@ impl Crate<'_> {
             "programmingLanguage": to("#language"), "hasPart": all(tools),
             "step": all(steps.iter().map(|(step, _)| step_id(step))),
         });
-        self.add(PIPELINE, workflow);
-        self.parts.insert(PIPELINE.to_owned());
+        self.add(PIPELINE_FILE, workflow);
+        self.parts.insert(PIPELINE_FILE.to_owned());
         let version = manifest.program["rockface"].as_str().unwrap_or("unknown").to_owned();
         let language = json!({"@type": "ComputerLanguage", "name": "rockface pipeline", "version": "1", "alternateName": "rockface"});
         self.add("#language", language);
@@ -116,13 +113,13 @@ impl Crate<'_> {
     /// The files of the folder that are not outputs of steps.
     fn files(&mut self, folder: &Path) {
         for (name, format, what) in [
-            (MANIFEST, "application/json", "manifest: everything needed to repeat the run"),
-            ("run.mcap", "application/octet-stream", "log of the run, MCAP"),
-            ("report.html", "text/html", "the run on one page, for people"),
-            (super::POINTS_FILE, "text/csv", "numbers of all steps, a row a point of the axes"),
+            (MANIFEST_FILE, "application/json", "manifest: everything needed to repeat the run"),
+            (LOG_FILE, "application/octet-stream", "log of the run, MCAP"),
+            (REPORT_FILE, "text/html", "the run on one page, for people"),
+            (POINTS_FILE, "text/csv", "numbers of all steps, a row a point of the axes"),
         ] {
             // Manifest and log are always written, the report where its template can be filled in.
-            if ![super::REPORT_FILE, super::POINTS_FILE].contains(&name) || folder.join(name).is_file() {
+            if ![REPORT_FILE, POINTS_FILE].contains(&name) || folder.join(name).is_file() {
                 self.add(name, json!({"@type": "File", "name": name, "description": what, "encodingFormat": format}));
                 self.parts.insert(name.to_owned());
             }
@@ -251,7 +248,7 @@ impl Crate<'_> {
         let status = if manifest.status == "done" { "Completed" } else { "Failed" };
         let action = json!({
             "@type": "CreateAction", "name": format!("run of {}", manifest.pipeline.name),
-            "instrument": to(PIPELINE), "object": all(given), "result": all(results.iter().cloned()),
+            "instrument": to(PIPELINE_FILE), "object": all(given), "result": all(results.iter().cloned()),
             "startTime": moment(ended_s - manifest.wall_s), "endTime": manifest.finished,
             "actionStatus": format!("http://schema.org/{status}ActionStatus"),
         });
@@ -281,17 +278,17 @@ impl Crate<'_> {
             "description": format!("What the pipeline `{}` gave, and how.", manifest.pipeline.name),
             "datePublished": manifest.finished, "license": to("#licence"),
             "conformsTo": all(profiles.iter().map(|profile| profile.0.to_owned())),
-            "hasPart": all(self.parts.iter().cloned()), "mainEntity": to(PIPELINE), "mentions": mentions,
+            "hasPart": all(self.parts.iter().cloned()), "mainEntity": to(PIPELINE_FILE), "mentions": mentions,
         });
         self.add("./", root);
         let descriptor = json!({
             "@type": "CreativeWork", "about": to("./"),
             "conformsTo": [to("https://w3id.org/ro/crate/1.1"), to("https://w3id.org/workflowhub/workflow-ro-crate/1.0")],
         });
-        self.add("ro-crate-metadata.json", descriptor);
+        self.add(CRATE_FILE, descriptor);
     }
 }
 
 fn step_id(step: &str) -> String {
-    format!("{PIPELINE}#{}", address(Path::new(step)))
+    format!("{PIPELINE_FILE}#{}", address(Path::new(step)))
 }

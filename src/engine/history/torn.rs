@@ -16,7 +16,7 @@ const DIGITS: usize = 64;
 ///
 /// When the file cannot be read.
 pub fn digests_told(folder: &Path) -> Result<(Vec<Digest>, u64), HistoryError> {
-    let path = folder.join("run.json");
+    let path = folder.join(super::MANIFEST_FILE);
     let text = std::fs::read(&path).map_err(HistoryError::io("read", &path))?;
     let written = std::fs::metadata(&path).and_then(|meta| meta.modified()).unwrap_or(SystemTime::UNIX_EPOCH);
     let words = text.split(|byte| !byte.is_ascii_hexdigit()).filter(|word| word.len() == DIGITS);

@@ -11,16 +11,12 @@ use rockface_core::Look;
 use rockface_core::artefact::{Artefact, Kind};
 
 use super::files::{failed, going_on, put, write_file};
+use crate::history::{LAYOUT_FILE, LOG_FILE, PIPELINE_FILE};
 use crate::pipeline::LogLevel;
 use crate::plan::Plan;
 use crate::run::{InstanceResult, RunError, Summary};
 use crate::watch::step_log::{self, Shown, StepLogError};
 use crate::watch::{Facts, Made, RunLog, StepNote, layout};
-
-/// Its file in the run folder.
-pub const LOG_FILE: &str = "run.mcap";
-/// The layout that opens it.
-pub const LAYOUT_FILE: &str = "foxglove-layout.json";
 
 /// A buffered file that knows where it is: to ask it does not write out what is in the buffer.
 struct Buffered<W: Write> {
@@ -111,7 +107,7 @@ impl Telling<'_> {
             log.add(&note, said, &shown).map_err(unwritten)?;
             self.plottable(instance, said, &mut numbers);
         }
-        let pipeline = ("pipeline.yaml", "application/yaml", self.pipeline_text.as_bytes());
+        let pipeline = (PIPELINE_FILE, "application/yaml", self.pipeline_text.as_bytes());
         let (out, topics) = log.finish(&[pipeline]).map_err(unwritten)?;
         let file = out.inner.into_inner().map_err(|error| failed(&path)(error.into_error()))?;
         // While other files are written.

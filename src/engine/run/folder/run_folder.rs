@@ -14,24 +14,18 @@ use tempfile::NamedTempFile;
 use super::files::{durable, failed, going_on, put, write_file};
 use super::headlines;
 use super::lay_out::{Laid, LayOut};
-use super::log::{LOG_FILE, Telling};
+use super::log::Telling;
 use super::made::{self, Made};
 use super::manifest_writer;
 use super::unfinished::{self, Unfinished};
 use crate::history::{
-    Manifest, POINTS_FILE, REPORT_FILE, RunContents, crate_metadata, is_pinned, latest_of, points_table, readable_name,
+    CRATE_FILE, LOG_FILE, MANIFEST_FILE, Manifest, PIPELINE_FILE, POINTS_FILE, REPORT_FILE, RunContents,
+    crate_metadata, is_pinned, latest_of, points_table, readable_name,
 };
 use crate::pipeline::{LogLevel, Overrides, Pipeline};
 use crate::plan::Plan;
 use crate::run::{RunError, Summary};
 use crate::watch::step_log::{self, StepLogError};
-
-/// The manifest, written last.
-const MANIFEST: &str = "run.json";
-/// The text of the pipeline.
-const PIPELINE: &str = "pipeline.yaml";
-/// The description for programs that know nothing of rockface.
-const CRATE: &str = "ro-crate-metadata.json";
 
 /// What a run folder is written from, and where it goes.
 #[derive(Debug, Clone)]
@@ -217,8 +211,8 @@ impl Writer<'_> {
         synced?;
         // A folder with a manifest is whole, after a power cut too.
         phase!("sync", unfinished::sync_all(folder))?;
-        put(manifest, &folder.join(MANIFEST))?;
-        let mut own = vec![MANIFEST, LOG_FILE, PIPELINE, CRATE];
+        put(manifest, &folder.join(MANIFEST_FILE))?;
+        let mut own = vec![MANIFEST_FILE, LOG_FILE, PIPELINE_FILE, CRATE_FILE];
         own.extend(folder.join(POINTS_FILE).exists().then_some(POINTS_FILE));
         let made = made::left(folder, &own, &laid)?;
         let (files, unnamed) = (laid.of_targets(self.plan), laid.unnamed);
@@ -256,7 +250,7 @@ impl Writer<'_> {
         logs: &[Vec<Entry>],
         laid: &Laid,
     ) -> Result<NamedTempFile, RunError> {
-        write_file(&folder.join(PIPELINE), self.about.pipeline.text().as_bytes())?;
+        write_file(&folder.join(PIPELINE_FILE), self.about.pipeline.text().as_bytes())?;
         let Self { plan, summary, store, about, .. } = self;
         let told = || -> Result<NamedTempFile, RunError> {
             let describe = || manifest_writer::manifest(plan, summary, store, about, headlines, logs, laid);
@@ -268,8 +262,8 @@ impl Writer<'_> {
                 write_file(&folder.join(POINTS_FILE), table.as_bytes())?;
             }
             let described = serde_json::to_string_pretty(&crate_metadata(folder, &manifest)).unwrap_or_default();
-            write_file(&folder.join(CRATE), format!("{described}\n").as_bytes())?;
-            phase!("manifest", durable(&folder.join(MANIFEST), |file| manifest.write(file)))
+            write_file(&folder.join(CRATE_FILE), format!("{described}\n").as_bytes())?;
+            phase!("manifest", durable(&folder.join(MANIFEST_FILE), |file| manifest.write(file)))
         };
         let (logged, manifest) = self.beside(|| phase!("log", self.log(folder, logs, laid)), told)?;
         logged.and(manifest)

@@ -137,7 +137,7 @@ fn sweep_folder(folder: &Path, is_begun: bool) {
         && file.try_lock().is_ok()
         && mark.exists()
     {
-        let _ = match std::fs::metadata(folder.join("run.json")) {
+        let _ = match std::fs::metadata(folder.join(crate::history::MANIFEST_FILE)) {
             Ok(_) => std::fs::remove_file(&mark),
             Err(error) if error.kind() == ErrorKind::NotFound => remove_marked(folder),
             Err(_) => Ok(()),

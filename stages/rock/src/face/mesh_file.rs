@@ -32,7 +32,7 @@ pub fn read(bytes: &[u8], cancelled: &dyn Fn() -> bool) -> Result<Mesh, CodecErr
     }
 }
 
-/// The beginning of a word for a message. Of a file that was not meant to be shown, which a link may lead to, no more is told.
+/// The beginning of a word for a message. Of a file that was not meant to be shown, which a link may lead to, it shows no more.
 pub(super) fn short(word: &str) -> String {
     const LETTERS: usize = 20;
     word.chars().take(LETTERS).collect()

@@ -49,7 +49,7 @@ fn is_small(shape: Shape) -> bool {
     }
 }
 
-/// The boxes around the triangles of a mesh together, as far as they are within an extent, in units of its area.
+/// The boxes around the triangles of a mesh together, the parts of them within an extent, in units of its area.
 fn layers(shape: Shape, [left, right, bottom, top]: [f64; 4]) -> f64 {
     let (Shape::Mesh(mesh) | Shape::Part(mesh, _)) = shape else { return 1.0 };
     let span = |values: [f64; 3], low: f64, high: f64| {
