@@ -66,6 +66,6 @@ fn settings(pairing: Pairing) -> Settings {
         points: SIDE * SIDE,
         max_iterations: 50,
         weak_eigenvalue: 0.0,
-        between_points: false,
+        between_points: pairing == Pairing::InPlan,
     }
 }

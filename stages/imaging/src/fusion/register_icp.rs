@@ -51,9 +51,9 @@ params! {
         /// Directions with a smaller eigenvalue of the normal equations, as a share of the largest, are left alone. The
         /// default stands for slopes of 10 %: matching noise tilts a plane by some 4 %, and must not hold it in place.
         weak_eigenvalue: f64 = 0.01; Range::Between(0.0, 1.0),
-        /// Holds points in plan against the surface between the points of the target, along Z, rather than against its nearest points: on a
-        /// face with ledges these hold the source where it is.
-        between_points: bool = false,
+        /// Holds points against the surface between the points of the target, along Z, rather than against its nearest points: on a face
+        /// with ledges these hold the source where it is. Left out, wherever heights can be compared: `point_to_plane`, paired in plan.
+        between_points: Option<bool> = None,
     }
 }
 
@@ -63,7 +63,7 @@ pub struct RegisterIcp;
 impl Stage for RegisterIcp {
     type Params = RegisterIcpParams;
     const NAME: &'static str = "register-icp";
-    const VERSION: u32 = 4;
+    const VERSION: u32 = 5;
     const PAGE: Page = Page::new(include_str!("register_icp.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("source", &[Kind::Surface, Kind::Raster], "The surface that moves; a raster holds elevations."),
@@ -85,8 +85,7 @@ impl Stage for RegisterIcp {
             context.headline("not registered, as asked");
             return Ok(Outputs::of("transform", Transform::identity("source", "target")));
         };
-        let is_by_height = settings.method == icp::Method::PointToPlane && settings.pairing == icp::Pairing::InPlan;
-        if settings.between_points && !is_by_height {
+        if settings.between_points && !has_heights(settings.method, settings.pairing) {
             return Err(StageError::new(
                 "`between_points` compares heights, so it needs the method `point_to_plane` and pairs in plan",
             )
@@ -108,6 +107,11 @@ fn surface<'a>(inputs: &'a Inputs, port: &str) -> Result<Cow<'a, Surface>, Stage
     }
 }
 
+/// Whether pairs have differences of height that a registration can minimise.
+fn has_heights(method: icp::Method, pairing: icp::Pairing) -> bool {
+    method == icp::Method::PointToPlane && pairing == icp::Pairing::InPlan
+}
+
 fn settings(params: &RegisterIcpParams, frame: Frame) -> Option<Settings> {
     let method = match params.method {
         IcpMethod::PointToPlane => icp::Method::PointToPlane,
@@ -127,7 +131,7 @@ fn settings(params: &RegisterIcpParams, frame: Frame) -> Option<Settings> {
         points: params.points as usize,
         max_iterations: params.max_iterations as usize,
         weak_eigenvalue: params.weak_eigenvalue,
-        between_points: params.between_points,
+        between_points: params.between_points.unwrap_or_else(|| has_heights(method, pairing)),
     })
 }
 
@@ -255,6 +259,19 @@ mod tests {
         for extra in [json!({"pairing": "space"}), json!({"method": "point_to_point"})] {
             assert!(run(extra).unwrap_err().message.contains("needs the method `point_to_plane`"));
         }
+    }
+
+    #[test]
+    fn heights_are_compared_wherever_they_can_be_unless_told_otherwise() {
+        let between = |params: serde_json::Value, frame: Frame| {
+            settings(&RegisterIcpParams::decode(&params).unwrap(), frame).unwrap().between_points
+        };
+        assert!(between(json!({}), Frame::Wall));
+        assert!(between(json!({"pairing": "plan"}), Frame::World));
+        assert!(!between(json!({"between_points": false}), Frame::Wall));
+        assert!(!between(json!({}), Frame::World));
+        assert!(!between(json!({"pairing": "space"}), Frame::Wall));
+        assert!(!between(json!({"method": "point_to_point", "pairing": "plan"}), Frame::Wall));
     }
 
     #[test]

@@ -106,7 +106,7 @@ mod tests {
             points: 40_000,
             max_iterations: 50,
             weak_eigenvalue: 0.01,
-            between_points: false,
+            between_points: true,
         };
         let fit = Fit {
             source: &source,
