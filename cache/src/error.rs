@@ -58,14 +58,17 @@ pub enum StoreError {
     },
     /// The folder holds other things.
     #[error(
-        "{} is not a store and not empty (it holds `{entry}`): give an empty or a new folder for the store",
-        dir.display()
+        "{} is not a store and not empty (it holds `{entry}`): give an empty or a new folder for the store{}",
+        dir.display(),
+        if *was_store { "; it has the folders of a store, and is one again with a file `format` that says `rockface store 1`" } else { "" }
     )]
     NotAStore {
         /// The path of the folder.
         dir: PathBuf,
         /// One of the things in it.
         entry: String,
+        /// Whether it has the folders of a store, which then has lost the file that says so.
+        was_store: bool,
     },
     /// Something stands in the store where a folder or a file of it should be.
     #[error(

@@ -94,7 +94,8 @@ pub(crate) fn prepare(dir: &Path, machine: &Machine) -> Result<(), StoreError> {
         Ok(found) => return Err(wrong_format(dir, &found)),
         Err(fault) if fault.kind() == io::ErrorKind::NotFound => match foreign {
             Some(entry) => {
-                return Err(StoreError::NotAStore { dir: dir.to_owned(), entry });
+                let was_store = FOLDERS.iter().all(|folder| dir.join(folder).is_dir());
+                return Err(StoreError::NotAStore { dir: dir.to_owned(), entry, was_store });
             }
             None => write_whole(dir, "format", &format!("{FORMAT}\n"))?,
         },
@@ -223,8 +224,18 @@ mod tests {
         fs::create_dir(folder.path().join("tmp")).unwrap();
         fs::write(folder.path().join("tmp/blob-mine"), "mine").unwrap();
         let message = prepare(folder.path()).unwrap_err().to_string();
-        assert!(message.contains("`tmp`"), "{message}");
+        assert!(message.contains("`tmp`") && !message.contains(FORMAT), "{message}");
         assert!(folder.path().join("tmp/blob-mine").exists());
+    }
+
+    #[test]
+    fn a_store_without_its_format_file_says_how_it_is_one_again() {
+        let folder = tempfile::tempdir().unwrap();
+        prepare(folder.path()).unwrap();
+        fs::remove_file(folder.path().join("format")).unwrap();
+        assert!(prepare(folder.path()).unwrap_err().to_string().contains(FORMAT));
+        fs::write(folder.path().join("format"), FORMAT).unwrap();
+        prepare(folder.path()).unwrap();
     }
 
     #[test]

@@ -3,34 +3,39 @@
 use std::collections::{BTreeMap, HashMap};
 
 use rockface_cache::Store;
-use rockface_engine::explain::Answer;
+use rockface_engine::explain::{Answer, Versions};
 use rockface_engine::plan::{Plan, Unknown, Wait};
 use rockface_engine::watch::duration;
 use serde_json::Value;
 
-/// Elapsed seconds of instances that were alike, and how many there were, from records.
+/// What records say of instances: the elapsed seconds of those that were alike and how many there were, and versions of stages.
 #[derive(Default)]
-pub struct Times(HashMap<String, (f64, u32)>);
+pub struct Times {
+    alike: HashMap<String, (f64, u32)>,
+    /// The versions of stages on record.
+    pub versions: Versions,
+}
 
 impl Times {
     /// Those of all records of a store.
     pub fn new(store: &Store) -> Self {
-        let mut times: HashMap<String, (f64, u32)> = HashMap::new();
+        let mut times = Self::default();
         for record in store.keys().iter().filter_map(|key| store.record(key)) {
+            times.versions.add(&record.recipe);
             for likeness in likenesses(&record.recipe.stage, &record.recipe.params) {
-                let (wall_s, count) = times.entry(likeness).or_default();
+                let (wall_s, count) = times.alike.entry(likeness).or_default();
                 *wall_s += record.cost.wall_s;
                 *count += 1;
             }
         }
-        Self(times)
+        times
     }
 
     /// The mean of the instances closest to this one; `None` where no step of its stage is on record.
     pub fn expected_s(&self, plan: &Plan, instance: usize) -> Option<f64> {
         let params = &plan.instances[instance].params.recipe;
         let mut alike = likenesses(plan.step(instance).stage.name(), params).into_iter();
-        alike.find_map(|likeness| self.0.get(&likeness)).map(|(wall_s, count)| wall_s / f64::from(*count))
+        alike.find_map(|likeness| self.alike.get(&likeness)).map(|(wall_s, count)| wall_s / f64::from(*count))
     }
 }
 
@@ -54,7 +59,7 @@ fn params_without_numbers(value: &Value) -> Value {
 impl Times {
     /// The mean of all steps of a stage.
     fn of_stage(&self, stage: &str) -> Option<f64> {
-        self.0.get(stage).map(|(wall_s, count)| wall_s / f64::from(*count))
+        self.alike.get(stage).map(|(wall_s, count)| wall_s / f64::from(*count))
     }
 }
 

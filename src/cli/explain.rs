@@ -147,6 +147,9 @@ fn listed(plan: &Plan, message: &str, instances: &[usize]) -> String {
 fn print(plan: &Plan, answers: &Answers, told: &Explanation) {
     say(&standing(plan, answers, told.asked));
     if told.explained != told.asked {
+        if let Some(version) = &told.version {
+            say(&format!("no result on record is of the version of its stage that this program has: {version}"));
+        }
         say("its recipe is known only after upstream steps have run; the first of them:\n");
         say(&standing(plan, answers, told.explained));
     }

@@ -1,5 +1,7 @@
 //! `rockface plan`.
 
+use std::collections::BTreeSet;
+
 use clap::Args;
 use rockface_core::Registry;
 use serde_json::json;
@@ -7,7 +9,7 @@ use serde_json::json;
 use super::expected_work::{Times, Work};
 use super::programs::ProgramArgs;
 use super::{CliError, PipelineArgs, complain, say};
-use rockface_engine::explain::{Answer, Answers};
+use rockface_engine::explain::{Answer, Answers, Why};
 use rockface_engine::plan::{Plan, Unknown};
 use rockface_engine::run::tools;
 
@@ -66,7 +68,7 @@ impl PlanArgs {
                 used = name;
             }
             let count = |word: &str| own.iter().filter(|i| answers[**i].word() == word).count();
-            let why = own.iter().find_map(|i| answers[*i].why(plan)).unwrap_or_default();
+            let why = own.iter().find_map(|i| why(plan, answers, times, *i)).unwrap_or_default();
             let (hit, runs, depends) = (count("hit"), count("runs"), count("depends"));
             say(&format!("{:width$}  {:>9} {hit:>6} {runs:>6} {depends:>8}  {why}", step.name, own.len()));
             if self.verbose {
@@ -86,10 +88,24 @@ impl PlanArgs {
             };
             say(&format!("{step:width$}  {:>9} {:>6} {:>6} {:>8}  {why}", "?", "", "", ""));
         }
+        let open = (0..answers.len()).filter(|instance| answers[*instance].is_open());
+        let changes: BTreeSet<String> = open.filter_map(|instance| times.versions.change(plan, instance)).collect();
+        if !changes.is_empty() {
+            let changes: Vec<String> = changes.into_iter().collect();
+            say(&format!("stages of another version than their results on record: {}", changes.join(", ")));
+        }
         Work::of(plan, answers, times).lines().iter().for_each(|line| say(line));
         let total = |word: &str| answers.iter().filter(|answer| answer.word() == word).count();
         say(&format!("{} hit, {} run, {} depend on what runs", total("hit"), total("runs"), total("depends")));
     }
+}
+
+/// Why an instance is not a hit; where nothing on record has its recipe, the versions of its stage too, if that may be why.
+fn why(plan: &Plan, answers: &[Answer], times: &Times, instance: usize) -> Option<String> {
+    let why = answers[instance].why(plan)?;
+    let is_new = answers[instance] == Answer::Runs(Why::New);
+    let change = if is_new { times.versions.change(plan, instance) } else { None };
+    Some(change.map_or_else(|| why.clone(), |change| format!("{why}: {change}")))
 }
 
 /// The steps some of whose instances cannot be told yet, each with what it waits for.
@@ -104,7 +120,7 @@ fn print_json(plan: &Plan, answers: &[Answer], times: &Times) {
         let step = plan.step(instance);
         let estimate_s = if answer.is_open() { times.expected_s(plan, instance) } else { None };
         json!({
-            "step": step.name, "point": plan.point(instance), "answer": answer.word(), "why": answer.why(plan),
+            "step": step.name, "point": plan.point(instance), "answer": answer.word(), "why": why(plan, answers, times, instance),
             "estimate_s": estimate_s,
         })
     });

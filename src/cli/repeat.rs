@@ -1,6 +1,6 @@
 //! Repeating a past run from its manifest, and saying whether it came out the same.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -99,6 +99,13 @@ pub struct Repeated {
     pub lines: Vec<String>,
 }
 
+impl Repeated {
+    /// Whether every output that was made has the digest it had.
+    pub fn is_same(&self) -> bool {
+        self.others == 0
+    }
+}
+
 /// Whether every output of a repetition has the digest it had, and what may be why not; `copied` are the input files where it read a copy.
 pub fn verdict(manifest: &Manifest, copied: Option<&Copied>, plan: &Plan, summary: &Summary) -> Repeated {
     let former: BTreeMap<String, BTreeMap<&str, Digest>> = manifest
@@ -139,13 +146,9 @@ pub fn verdict(manifest: &Manifest, copied: Option<&Copied>, plan: &Plan, summar
     }
     let count = others.len();
     let mut lines = changed_files(manifest, plan, copied);
+    lines.extend(changed_stages(manifest, plan));
     lines.extend(others);
-    let program = rockface_engine::version::program();
-    if manifest.program != program {
-        lines.push(
-            "this is not the program that made the run; run.json contains the version and the lock file of that program".into(),
-        );
-    }
+    lines.extend(changed_program(manifest));
     lines.push(format!("repeated: {same} outputs are the same, {count} are not"));
     Repeated { same, others: count, lines }
 }
@@ -162,6 +165,28 @@ fn changed_files(manifest: &Manifest, plan: &Plan, copied: Option<&Copied>) -> V
         Some(format!("changed  {}: {} then, {} now", path.display(), then.short(), now.short()))
     });
     changed.collect()
+}
+
+/// The stages whose version is not what it was, each once.
+fn changed_stages(manifest: &Manifest, plan: &Plan) -> BTreeSet<String> {
+    let former: BTreeMap<(&str, &str), u32> =
+        manifest.steps.iter().map(|done| ((&*done.step, &*done.stage), done.version)).collect();
+    let changed = plan.graph.steps.iter().filter_map(|step| {
+        let (stage, now) = (step.stage.name(), step.stage.version());
+        let then = former.get(&(step.name.as_str(), stage)).filter(|then| **then != now)?;
+        Some(format!("changed  stage {stage}: version {then} then, {now} now"))
+    });
+    changed.collect()
+}
+
+/// Which program made the run, where it is not this one, or on which processor.
+fn changed_program(manifest: &Manifest) -> Option<String> {
+    let (then, now) = (&manifest.program, rockface_engine::version::program());
+    let differs = |what: &[&str]| what.iter().any(|what| then[what] != now[what]);
+    if differs(&["rockface", "source", "compiler", "target", "cargo_lock_blake3"]) {
+        return Some(format!("this is not the program that made the run, which was {}", manifest.made_by()));
+    }
+    differs(&["cpu_features"]).then(|| "this is the program that made the run, on another kind of processor".to_owned())
 }
 
 /// The label with its axes by name, as manifests have them.

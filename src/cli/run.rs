@@ -53,6 +53,9 @@ pub struct RunArgs {
     /// Run every step that is not cached twice, and fail where the two outputs differ.
     #[arg(long)]
     check_determinism: bool,
+    /// When a past run is repeated by its run.json: fail where an output is not the same (exit code 1).
+    #[arg(long)]
+    require_same: bool,
     /// Write where the time went: a trace for Perfetto (ui.perfetto.dev) or Chrome, with a row for each thread and a span for
     /// each phase of each step.
     #[arg(long, value_name = "FILE")]
@@ -78,6 +81,10 @@ impl RunArgs {
     pub fn run(mut self, registry: &Registry) -> Result<(), CliError> {
         let begun = std::time::Instant::now();
         let former = self.pipeline.take()?;
+        if self.require_same && former.is_none() {
+            let told = "--require-same holds a repetition against the run it repeats: give the run.json of that run in place of a pipeline";
+            return Err(CliError::Usage(told.to_owned()));
+        }
         self.pipeline.no_programs = self.programs.are_refused();
         let text = self.pipeline.read()?;
         let question = self.question(&text);
@@ -131,7 +138,8 @@ impl RunArgs {
             repeated.iter().flat_map(|repeated| &repeated.lines).for_each(|line| say(line));
             self.report(&store, &summary, &told, wall_s);
         }
-        let failed = summary.failed;
+        let is_other = self.require_same && repeated.is_some_and(|repeated| !repeated.is_same());
+        let failed = summary.failed || is_other;
         // The process ends now: dropping a large plan would only take time.
         std::mem::forget((pipeline, plan, summary));
         if failed { Err(CliError::Failed) } else { Ok(()) }

@@ -165,6 +165,7 @@ fn show(run: &PastRun, as_json: bool) -> Result<(), CliError> {
     say(&format!("{} ({}){}", run.name, manifest.status, if run.pinned { ", pinned" } else { "" }));
     say(&format!("pipeline  {} ({})", manifest.pipeline.name, manifest.pipeline.path.display()));
     say(&format!("seed      {}", manifest.seed));
+    say(&format!("program   {}", manifest.made_by()));
     manifest.overrides.set.iter().for_each(|set| say(&format!("set       {set}")));
     manifest.overrides.sweep.iter().for_each(|sweep| say(&format!("sweep     {sweep}")));
     say(&format!("finished  {}, ran {executed}, cached {cached}, {}", manifest.finished, duration(manifest.wall_s)));

@@ -41,6 +41,7 @@ mod streams;
 mod survey;
 mod tidy;
 mod together;
+mod upgrade;
 mod watching;
 mod workers;
 mod writers;

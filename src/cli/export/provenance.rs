@@ -24,7 +24,7 @@ const BESIDE: &str = "provenance.json";
 /// The facts about an output.
 pub fn of(run: &PastRun, done: &StepDone, port: &str, digest: &Digest) -> Value {
     json!({
-        "program": format!("rockface {}", rockface_engine::version::TEXT),
+        "program": run.manifest.made_by(), "exported_by": format!("rockface {}", rockface_engine::version::TEXT),
         "step": done.label(), "port": port, "stage": format!("{} {}", done.stage, done.version), "parameters": *done.parameters,
         "digest": digest.to_string(), "record": done.key.map(|key| key.to_string()),
         "pipeline": run.manifest.pipeline.name, "run": run.name,

@@ -104,6 +104,7 @@ fn facts(found: &Found, how: &str, runs: String) -> Facts {
         ("record".into(), key),
         ("pipeline".into(), run.manifest.pipeline.name.clone().into()),
         ("runs".into(), runs.into()),
+        ("program".into(), run.manifest.made_by().into()),
         ("make again".into(), format!("rockface run {} --target {}", manifest.display(), done.step).into()),
     ]
 }

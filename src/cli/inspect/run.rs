@@ -37,7 +37,7 @@ pub fn of_manifest(manifest: &Manifest) -> Facts {
         ("seed".into(), manifest.seed.into()),
         ("step instances".into(), manifest.steps.len().into()),
         ("executed, cached, not made".into(), json!([executed, cached, missing])),
-        ("rockface".into(), manifest.program["rockface"].clone()),
+        ("program".into(), manifest.made_by().into()),
     ];
     let given = [("targets", &manifest.targets), ("set", &overrides.set), ("sweep", &overrides.sweep)];
     let given = given.into_iter().filter(|(_, texts)| !texts.is_empty());

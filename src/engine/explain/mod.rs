@@ -3,9 +3,11 @@
 mod answers;
 mod difference;
 mod former;
+mod versions;
 
 pub use answers::{Answer, Answers, Why};
 pub use difference::{Change, InputPlace};
+pub use versions::Versions;
 
 use difference::Parts;
 use std::path::Path;
@@ -24,6 +26,8 @@ pub struct Explanation {
     pub recipe: Recipe,
     /// From the explained instance up to the root cause; empty where the recipe is on record.
     pub causes: Vec<Cause>,
+    /// The version of the stage of the instance asked for, on record and now, where no result on record has that of this program.
+    pub version: Option<String>,
 }
 
 /// What changed at one instance.
@@ -62,7 +66,8 @@ pub fn explain(plan: &Plan, store: &Store, answers: &Answers, asked: usize, runs
     for former in causes.iter_mut().filter_map(|cause| cause.former.as_mut()) {
         former.run = former::run_naming(runs, &former.key);
     }
-    Some(Explanation { asked, explained, recipe, causes })
+    let version = if answers.list()[asked].is_open() { Versions::on_record(store).change(plan, asked) } else { None };
+    Some(Explanation { asked, explained, recipe, causes, version })
 }
 
 /// Follows the first changed input to its producer, and on, until nothing upstream changed.

@@ -74,7 +74,7 @@ fn side_by_side(runs: impl Iterator<Item = Named>) -> Vec<Row> {
     names.into_iter().map(row).collect()
 }
 
-/// Seed, stage versions and parameters. What is the same at every point of a step is listed once; what is not, as the
+/// Program, seed, stage versions and parameters. What is the same at every point of a step is listed once; what is not, as the
 /// sorted list of its values.
 fn parameters(manifest: &Manifest) -> Named {
     let mut found: BTreeMap<String, Vec<Value>> = BTreeMap::new();
@@ -85,6 +85,7 @@ fn parameters(manifest: &Manifest) -> Named {
             .push(format!("{} {}", done.stage, done.version).into());
         leaves(&done.parameters, &done.step, &mut |name, value| found.entry(name).or_default().push(value));
     }
+    found.insert("program".to_owned(), vec![manifest.made_by().into()]);
     found.insert("seed".to_owned(), vec![manifest.seed.into()]);
     found.into_iter().map(|(name, values)| (name, one_or_list(values))).collect()
 }

@@ -11,6 +11,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
 use super::HistoryError;
+use crate::diagnostic::printable;
 use crate::pipeline::{Copied, Label};
 
 /// Bytes that are written at a time.
@@ -229,6 +230,12 @@ impl Manifest {
             }
             None => Err("it says no format".to_owned()),
         }
+    }
+
+    /// The program that made the run, such as `rockface 0.1.0 (commit 0123456789ab)`.
+    pub fn made_by(&self) -> String {
+        let source = self.program["source"].as_str().or(self.program["rockface"].as_str());
+        format!("rockface {}", printable(source.unwrap_or("of an unknown version")))
     }
 
     /// What a label names where it is an output of a use: the step, port and items behind it.

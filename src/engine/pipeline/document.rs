@@ -194,7 +194,7 @@ impl Reader<'_> {
             Some(Node { data: Data::Scalar(Value::Number(n)), .. }) if n.as_u64() == Some(1) => {}
             Some(node) => self.fault(
                 Diagnostic::at(node.span, format!("pipeline format {} is not known to this rockface", node.to_value()))
-                    .hint("this version reads `rockface: 1`"),
+                    .hint("this version reads `rockface: 1`; later formats need a later rockface"),
             ),
             None => {
                 let span = top.first().map_or(root.span, |(key, _)| key.span);

@@ -96,7 +96,7 @@ pub fn apply(root: &mut Node, text: &str, sources: &mut Vec<Source>) -> Result<O
         && let Some(meant) = meant(root, first, rest)
     {
         let fault = Diagnostic::at(here(0, path.len()), format!("the pipeline has no key `{first}`"));
-        return Err(fault.hint(format!("did you mean `{meant}`?")));
+        return Err(fault.hint(meant));
     }
     check_once(root, &keys, value, &sources[..source], here(0, path.len()))?;
     let declared = match keys[..] {
@@ -203,7 +203,7 @@ pub fn check_exists(root: &Node, keys: &[&str], span: Span) -> Result<(), Diagno
     })
 }
 
-/// The path that is meant by one that begins with the name of a parameter or of a step.
+/// What to write in place of a path that begins with the name of a parameter or of a step.
 fn meant(root: &Node, first: &str, rest: &[&str]) -> Option<String> {
     let names = |section: &str| -> Vec<&str> {
         let entries = root.get(section).and_then(Node::entries).unwrap_or_default();
@@ -213,10 +213,20 @@ fn meant(root: &Node, first: &str, rest: &[&str]) -> Option<String> {
         return None;
     }
     if rest.is_empty() {
-        return nearest(first, &names("params")).map(|near| format!("params.{near}"));
+        return nearest(first, &names("params")).map(|near| format!("did you mean `params.{near}`?"));
     }
-    let below = rest.strip_prefix(&["with"]).unwrap_or(rest).join(".");
-    names("steps").contains(&first).then(|| format!("steps.{first}.with.{below}"))
+    if !names("steps").contains(&first) {
+        return None;
+    }
+    let below = rest.strip_prefix(&["with"]).unwrap_or(rest);
+    let part = root.get("steps").and_then(|steps| steps.get(first)?.get("use")?.text());
+    // Steps of a part are reached by what it declares only.
+    if let Some(part) = part.filter(|_| below.len() > 1) {
+        return Some(format!(
+            "`{first}` uses the part `{part}`: set what it declares (`rockface parts {part}`) by `steps.{first}.with.NAME`"
+        ));
+    }
+    Some(format!("did you mean `steps.{first}.with.{}`?", below.join(".")))
 }
 
 /// Puts a value where a path of keys leads, and makes the maps on the way.

@@ -17,7 +17,7 @@ pub struct DifferenceDem;
 impl Stage for DifferenceDem {
     type Params = DifferenceDemParams;
     const NAME: &'static str = "difference-dem";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: Page = Page::new(include_str!("difference_dem.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("reference", &[Kind::Raster], "Elevations of the earlier epoch."),

@@ -26,7 +26,7 @@ pub struct SummariseDetections;
 impl Stage for SummariseDetections {
     type Params = SummariseDetectionsParams;
     const NAME: &'static str = "summarise-detections";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PAGE: Page = Page::new(include_str!("summarise_detections.md"));
     const INPUTS: &'static [Port] = &[Port::many(
         "scores",

@@ -39,7 +39,7 @@ pub struct FitAcceptance;
 impl Stage for FitAcceptance {
     type Params = FitAcceptanceParams;
     const NAME: &'static str = "fit-acceptance";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const PAGE: Page = Page::new(include_str!("fit_acceptance.md"));
     const INPUTS: &'static [Port] =
         &[Port::many("features", &[Kind::Table], "Features of real rasters, as `describe-noise` makes them.")];

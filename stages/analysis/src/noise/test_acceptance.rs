@@ -27,7 +27,7 @@ const LEVELS: [f64; 3] = [0.90, 0.95, 0.99];
 impl Stage for TestAcceptance {
     type Params = TestAcceptanceParams;
     const NAME: &'static str = "test-acceptance";
-    const VERSION: u32 = 4;
+    const VERSION: u32 = 5;
     const PAGE: Page = Page::new(include_str!("test_acceptance.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("model", &[Kind::Acceptance], "The reference, from `fit-acceptance`."),
@@ -178,6 +178,12 @@ fn levels(level: f64) -> Vec<f64> {
     levels
 }
 
+/// Distances of one raster from one model, as a share of each other: they differ by rounding at most.
+const SAME: f64 = 1e-9;
+
+/// A test is weak where the range of a perfect simulator begins below this share of the rasters.
+const WEAK: f64 = 0.125;
+
 /// What a perfect simulator would have at each quantile.
 fn expectations(model: &GroupModel, ridge: f64, levels: &[f64], trials: usize) -> Vec<Expectation> {
     let simulated = Setting::of(model, model, ridge, trials).simulate(levels);
@@ -244,6 +250,22 @@ fn log(
         ));
     }
     let band = levels.iter().zip(expected).find(|(of, _)| of.total_cmp(&level).is_eq()).map(|(_, band)| band);
+    let (references, features) = (all.model.reference_d2.len(), all.judged.len());
+    let is_reference = |found: &&Distance| all.model.reference_d2.iter().any(|d2| (d2 - found.d2).abs() <= SAME * d2);
+    let known = distances.iter().filter(is_reference).count();
+    if 2 * known > n {
+        context.warn(format!(
+            "{known} of {n} rasters are references of the model: more of them are accepted than of new rasters of the same noise, \
+             for which the range is"
+        ));
+    }
+    if let Some(band) = band.filter(|band| (band.low as f64) < WEAK * n as f64) {
+        context.warn(format!(
+            "this test can hardly reject: a perfect simulator may have as few as {} of {n} accepted, with {references} references for \
+             {features} features; give it more references, or fewer features",
+            band.low
+        ));
+    }
     let band =
         band.map_or_else(String::new, |band| format!("; a perfect simulator would have {} to {}", band.low, band.high));
     context.headline(format!(
@@ -273,8 +295,8 @@ mod tests {
         (0..n).map(|i| (0..3).map(|j| field.normal(i, j) + if j == 0 { shift } else { 0.0 }).collect()).collect()
     }
 
-    fn model() -> Acceptance {
-        let all = rows(40, 1, 0.0);
+    fn model(references: i32) -> Acceptance {
+        let all = rows(references, 1, 0.0);
         let names = |columns: &[usize]| columns.iter().map(|j| FEATURES[*j].to_owned()).collect::<Vec<_>>();
         let group = |columns: &[usize]| {
             let values: Vec<Vec<f64>> = all.iter().map(|row| columns.iter().map(|j| row[*j]).collect()).collect();
@@ -282,16 +304,20 @@ mod tests {
         };
         let groups = [("all", group(&[0, 1, 2])), ("marginal", group(&[0, 1])), ("spectrum", group(&[2]))];
         Acceptance {
-            references: 40,
+            references: all.len(),
             ridge: 1e-3,
-            labels: (0..40).map(|i| i.to_string()).collect(),
+            labels: (0..references).map(|i| i.to_string()).collect(),
             groups: groups.into_iter().map(|(name, group)| (name.to_owned(), group)).collect(),
         }
     }
 
     fn tested(axis: &str, rows: &[Vec<f64>]) -> Result<(Table, Table, TestHost), StageError> {
+        tested_by(model(40), axis, rows)
+    }
+
+    fn tested_by(model: Acceptance, axis: &str, rows: &[Vec<f64>]) -> Result<(Table, Table, TestHost), StageError> {
         let mut inputs = Inputs::default();
-        inputs.push("model", BTreeMap::new(), Arc::new(model().into()));
+        inputs.push("model", BTreeMap::new(), Arc::new(model.into()));
         for (index, row) in rows.iter().enumerate() {
             let mut table = Table::new(["raster"].into_iter().chain(FEATURES));
             table.push(std::iter::once("d".into()).chain(row.iter().map(|x| Cell::from(*x))).collect());
@@ -313,7 +339,8 @@ mod tests {
 
     #[test]
     fn the_reference_itself_reproduces_its_own_shares() {
-        let (verdicts, summary, _) = tested("replicate", &rows(40, 1, 0.0)).unwrap();
+        let (verdicts, summary, host) = tested("replicate", &rows(40, 1, 0.0)).unwrap();
+        assert!(host.warnings().iter().any(|text| text.starts_with("40 of 40 rasters are references of the model")));
         for (row, expected) in [(0, 36.0), (1, 38.0), (2, 39.0)] {
             assert_eq!(number(&summary, row, "real_accepted"), expected);
             assert_eq!(number(&summary, row, "simulated_accepted"), expected);
@@ -337,6 +364,19 @@ mod tests {
         let entries = host.entries.lock().unwrap();
         let Some(Entry::Headline { text }) = entries.last() else { panic!("the headline comes last") };
         assert!(text.starts_with("accepted 0 of 10 at the 95 % quantile (D2 <= "), "{text}");
+    }
+
+    #[test]
+    fn a_test_that_can_hardly_reject_says_so() {
+        let warned = |references: i32| {
+            let (_, summary, host) = tested_by(model(references), "replicate", &rows(20, 2, 0.0)).unwrap();
+            let weak = host.warnings().into_iter().find(|text| text.contains("can hardly reject"));
+            (number(&summary, 1, "expected_low"), weak)
+        };
+        let (low, weak) = warned(6);
+        assert!(low < 2.5 && weak.unwrap().contains("6 references for 3 features"), "{low}");
+        let (low, weak) = warned(40);
+        assert!(low > 2.5 && weak.is_none(), "{low}");
     }
 
     #[test]

@@ -30,7 +30,7 @@ pub struct FitMagnitudeFrequency;
 impl Stage for FitMagnitudeFrequency {
     type Params = FitMagnitudeFrequencyParams;
     const NAME: &'static str = "fit-magnitude-frequency";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const PAGE: Page = Page::new(include_str!("fit_magnitude_frequency.md"));
     const INPUTS: &'static [Port] =
         &[Port::one("volumes", &[Kind::Inventory, Kind::Table], "One volume a row, such as a ground truth.")];
