@@ -135,6 +135,24 @@ fn the_commands_of_the_page_about_sweeps_work() {
 }
 
 #[test]
+fn the_covariance_of_the_page_about_projects_is_read() {
+    let page = std::fs::read_to_string(root().join("docs/how-to/metashape-and-colmap.md")).unwrap();
+    let covariance = page.split("```json\n").nth(1).and_then(|rest| rest.split("```").next()).unwrap();
+    let house = House::new(
+        "rockface: 1\nseed: 1\nsteps:\n  rig: {stage: import-cameras, with: {path: cameras.json, covariance: covariance.json}}\n  \
+         noisy: {stage: perturb-cameras, in: {cameras: rig.cameras, covariance: rig.covariance}}\n",
+    );
+    let image = |name: &str, x: f64| serde_json::json!({"name": name, "sensor": "s", "q_wxyz": [0.0, 1.0, 0.0, 0.0], "C": [x, 0.0, 20.0]});
+    let sensor = serde_json::json!({"id": "s", "width": 160, "height": 120, "f": 200.0, "cx": 79.5, "cy": 59.5});
+    let cameras =
+        serde_json::json!({"sensors": [sensor], "images": [image("IMG_7.JPG", -2.0), image("IMG_8.JPG", 2.0)]});
+    std::fs::write(house.path("cameras.json"), cameras.to_string()).unwrap();
+    std::fs::write(house.path("covariance.json"), covariance).unwrap();
+    let (code, out, err) = house.rockface(&["run", "p.yaml"]);
+    assert!(code == Some(0) && !err.contains("warning"), "{out}{err}");
+}
+
+#[test]
 fn every_page_is_complete() {
     for stage in rockface_stages::registry().stages() {
         let (name, page) = (stage.name(), stage.page());

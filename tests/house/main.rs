@@ -37,6 +37,7 @@ mod rooms;
 mod s3;
 mod shipped;
 mod shortcut;
+mod stereo;
 mod streams;
 mod survey;
 mod tidy;

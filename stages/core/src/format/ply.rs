@@ -4,7 +4,7 @@ pub mod cloud;
 mod header;
 pub mod parts;
 
-use crate::artefact::{CodecError, Mesh};
+use crate::artefact::{CodecError, Frame, Mesh};
 use crate::limits;
 
 use crate::format::ply::header::{Element, Encoding, Header, Property, Type};
@@ -63,6 +63,13 @@ pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, CodecError> {
         Encoding::LittleEndian => read_body(&header, Binary::<true> { rest: body }),
         Encoding::BigEndian => read_body(&header, Binary::<false> { rest: body }),
     }
+}
+
+/// The frame that our own comment in the header of a mesh or cloud states, with its georeference; none where there is no such comment, and
+/// of a file that is no PLY.
+pub fn stated_frame(bytes: &[u8]) -> Option<Frame> {
+    let (header, _) = Header::parse(bytes).ok()?;
+    header.states_frame.then_some(header.frame)
 }
 
 /// Numbers one after the other; every PLY number type is exact in f64.

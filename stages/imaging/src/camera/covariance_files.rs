@@ -22,15 +22,18 @@ struct CovarianceFile {
     other: Map<String, Value>,
 }
 
+/// What a file needs, with an example.
+const NEEDED: &str = "needed are `parameters` (names), `covariance` or `matrix` (rows and columns in their order) and `sigma0_applied` (whether the matrix was \
+                      multiplied by the variance of unit weight), and `full_joint` may say whether it has covariances between images: {\"parameters\": \
+                      [\"a.rx\", \"b.rx\"], \"covariance\": [[4e-8, 3e-8], [3e-8, 4e-8]], \"sigma0_applied\": true, \"full_joint\": true}";
+
 /// Reads `{parameters, covariance, sigma0_applied, full_joint?, units?, ...}` or the covariance artefact of rockface.
 ///
 /// Units are rad, m, px and 1; a file that states others is refused. Returns the covariance, with the full names of
 /// `cameras`, and a note for each key that was ignored.
 pub fn read(bytes: &[u8], cameras: &Cameras) -> Result<(Covariance, Vec<String>), StageError> {
-    let file: CovarianceFile = serde_json::from_slice(without_mark(bytes)).map_err(|e| {
-        StageError::new(format!("not a covariance file: {e}"))
-            .hint("needed: parameters [names], covariance [[rows]], sigma0_applied (true or false), full_joint")
-    })?;
+    let file: CovarianceFile = serde_json::from_slice(without_mark(bytes))
+        .map_err(|e| StageError::new(format!("not a covariance file: {e}")).hint(NEEDED))?;
     if let Some(frame) = file.frame.filter(|frame| *frame != cameras.frame) {
         fail!("the covariance is in the {frame} frame, the cameras in the {} frame", cameras.frame);
     }
@@ -125,5 +128,18 @@ mod tests {
         says("parameters", json!(["a.rx"]), "1 parameters but 2 rows");
         says("units", json!({"rx": "deg"}), "`rx` in \"deg\"");
         says("sigma0_applied", json!(null), "invalid type");
+        let mut bad = file();
+        bad.as_object_mut().unwrap().remove("sigma0_applied");
+        let hint = read(bad.to_string().as_bytes(), &block()).unwrap_err().hint.unwrap();
+        for field in ["`parameters`", "`covariance` or `matrix`", "`sigma0_applied`", "`full_joint`"] {
+            assert!(hint.contains(field), "{hint}");
+        }
+        // The example in it is one.
+        let example = hint.split_once(": {").map(|(_, example)| format!("{{{example}")).unwrap();
+        let file: CovarianceFile = serde_json::from_str(&example).unwrap();
+        assert_eq!(
+            (file.parameters.len(), file.matrix.len(), file.sigma0_applied, file.full_joint),
+            (2, 2, true, Some(true))
+        );
     }
 }

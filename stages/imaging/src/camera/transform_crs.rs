@@ -86,7 +86,7 @@ fn taken(params: &TransformCrsParams, frame: Frame, earlier: &Transform) -> Resu
 impl Stage for TransformCrs {
     type Params = TransformCrsParams;
     const NAME: &'static str = "transform-crs";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PAGE: Page = Page::new(include_str!("transform_crs.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("mesh", &[Kind::Mesh], "The face, triangles counter-clockwise seen from outside the rock."),
@@ -141,7 +141,11 @@ impl Stage for TransformCrs {
             (Some(earlier), _) => taken(params, mesh.frame, earlier)?,
             (None, FrameSource::Fit) if mesh.frame == Frame::World => fitted(params, &plane, cameras, context)?,
             (None, FrameSource::Fit) => {
-                context.warn("the mesh is in the wall frame already: nothing was fitted, every bit is kept");
+                let known =
+                    if way_of_mesh(mesh).is_some() { "; `transform` is the one that the mesh states" } else { "" };
+                context.warn(format!(
+                    "the mesh is in the wall frame already: nothing was fitted, every bit is kept{known}"
+                ));
                 Transform::identity("world", "wall")
             }
             (None, FrameSource::Given) if mesh.frame == Frame::World && params.given.is_none() => {
@@ -164,8 +168,14 @@ impl Stage for TransformCrs {
         if let Some(covariance) = covariance {
             outputs = outputs.and("covariance", covariance_to_frame(covariance, &wall_from_world, Frame::Wall)?);
         }
-        Ok(outputs.and("transform", wall_from_world))
+        let stated = way_of_mesh(mesh).filter(|_| earlier.is_none());
+        Ok(outputs.and("transform", stated.unwrap_or(wall_from_world)))
     }
+}
+
+/// How the wall frame that a mesh is in already lies in the world, where the mesh says it.
+fn way_of_mesh(mesh: &Mesh) -> Option<Transform> {
+    mesh.frame.wall_from_world().filter(|_| mesh.frame == Frame::Wall).cloned()
 }
 
 fn same_frame(port: &str, mesh: Frame, other: Option<Frame>) -> Result<(), StageError> {

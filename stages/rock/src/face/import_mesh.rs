@@ -21,6 +21,8 @@ const DOWNWARDS: f64 = 0.5;
 choice! {
     /// The frame of the file's coordinates.
     pub enum FileFrame {
+        /// The one that the file states itself, as a PLY of ours does, otherwise world.
+        Automatic = "automatic",
         /// The input's coordinate reference system.
         World = "world",
         /// X along the face, Y up the face, Z out of the rock.
@@ -56,7 +58,7 @@ params! {
         /// The file; its format is told by its content: PLY, OBJ or STL, text or binary.
         path: GeoFileRef,
         /// The frame of the file's coordinates.
-        frame: FileFrame = FileFrame::World,
+        frame: FileFrame = FileFrame::Automatic,
         /// The coordinate reference system of a file that states none, itself or in a `.prj` beside it: `EPSG:28356`.
         crs: Option<CrsName> = None,
         /// Metres of a unit of the file's coordinates: 0.001 for millimetres. A file that states a coordinate reference system states its unit;
@@ -82,7 +84,7 @@ pub struct ImportMesh;
 impl Stage for ImportMesh {
     type Params = ImportMeshParams;
     const NAME: &'static str = "import-mesh";
-    const VERSION: u32 = 6;
+    const VERSION: u32 = 7;
     const PAGE: Page = Page::new(include_str!("import_mesh.md"));
     const INPUTS: &'static [Port] = &[];
     const OUTPUTS: &'static [Port] = &[Port::one("mesh", &[Kind::Mesh], "The mesh, in the frame of the file.")];
@@ -116,7 +118,8 @@ impl Stage for ImportMesh {
         }
         placing::scale(&mut mesh.vertices, params.unit_m);
         rounding::warning(&mesh.vertices).into_iter().for_each(|text| context.warn(text));
-        mesh.frame = framed(&mut mesh, params, system.as_deref(), context)?;
+        let is_wall = is_wall(mesh_file::stated_frame(&bytes), params, system.is_some(), context)?;
+        mesh.frame = framed(&mut mesh, params, (is_wall, system.as_deref()), context)?;
         placing::shift(&mut mesh.vertices, params.offset_m);
         context.check_cancelled()?;
         tidy(&mut mesh, params, context)?;
@@ -124,14 +127,59 @@ impl Stage for ImportMesh {
     }
 }
 
+/// Whether the coordinates are in the wall frame, by what the file states itself and by what is given.
+///
+/// # Errors
+/// The file states the wall frame, and `crs` a system of map coordinates.
+fn is_wall(
+    stated: Option<Frame>,
+    params: &ImportMeshParams,
+    has_prj: bool,
+    context: &Context,
+) -> Result<bool, StageError> {
+    let path = &params.path.0;
+    let says_wall = stated == Some(Frame::Wall);
+    let overruled = |given: &str, own: &str| {
+        context.warn(format!(
+            "`{path}` itself states the {own} frame, but `frame: {given}` is given, which holds; leave `frame` out to go by the file"
+        ));
+    };
+    match params.frame {
+        FileFrame::Automatic if says_wall && params.crs.is_some() => Err(StageError::new(format!(
+            "`{path}` itself states the wall frame, parameter `crs` a system of map coordinates"
+        ))
+        .hint("leave `crs` out; or say `frame: world` if its vertices have map coordinates after all")),
+        FileFrame::Automatic => {
+            if says_wall && has_prj {
+                context.warn(format!(
+                    "`{path}` itself states the wall frame: the system in the `.prj` beside it is left out"
+                ));
+            }
+            Ok(says_wall)
+        }
+        FileFrame::World => {
+            if says_wall {
+                overruled("world", "wall");
+            }
+            Ok(false)
+        }
+        FileFrame::Wall => {
+            if stated == Some(Frame::World) {
+                overruled("wall", "world");
+            }
+            Ok(true)
+        }
+    }
+}
+
 /// The frame of the mesh, and its vertices in metres.
 fn framed(
     mesh: &mut Mesh,
     params: &ImportMeshParams,
-    prj: Option<&[u8]>,
+    (is_wall, prj): (bool, Option<&[u8]>),
     context: &Context,
 ) -> Result<Frame, StageError> {
-    if params.frame == FileFrame::Wall {
+    if is_wall {
         return Ok(Frame::Wall.at(mesh.frame.georeference().filter(|_| mesh.frame == Frame::Wall).cloned()));
     }
     let own = mesh.frame.world_crs().map(Stated::of_crs);

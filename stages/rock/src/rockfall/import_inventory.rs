@@ -9,7 +9,7 @@ use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, cho
 choice! {
     /// The frame of the outlines.
     pub enum InventoryFrame {
-        /// The one the file names, otherwise world.
+        /// The one the file names in its member `rockface`, or as its system, otherwise world.
         Automatic = "automatic",
         /// X along the face, Y up it.
         Wall = "wall",
@@ -36,7 +36,7 @@ pub struct ImportInventory;
 impl Stage for ImportInventory {
     type Params = ImportInventoryParams;
     const NAME: &'static str = "import-inventory";
-    const VERSION: u32 = 4;
+    const VERSION: u32 = 5;
     const PAGE: Page = Page::new(include_str!("import_inventory.md"));
     const INPUTS: &'static [Port] = &[];
     const OUTPUTS: &'static [Port] = &[Port::one("inventory", &[Kind::Inventory], "The rockfalls.")];
@@ -49,7 +49,12 @@ impl Stage for ImportInventory {
     fn run(params: &Self::Params, _inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
         let bytes = context.read(&params.path)?;
         let named = |e: rockface_core::artefact::CodecError| StageError::new(format!("`{}`: {e}", params.path.0));
-        let (mut inventory, stated) = if let Ok(own) = Inventory::decode(&bytes) {
+        let own = Inventory::decode(&bytes).ok();
+        let added = own.as_ref().map_or_else(Vec::new, |own| inventory_foreign::unlisted(&bytes, &own.columns));
+        if !added.is_empty() {
+            context.note(format!("columns that its member `rockface` does not list: {}", added.join(", ")));
+        }
+        let (mut inventory, stated) = if let Some(own) = own.filter(|_| added.is_empty()) {
             let stated = own.frame.crs().map(Stated::of_crs);
             (own, stated)
         } else {
@@ -115,7 +120,7 @@ mod tests {
     use serde_json::json;
 
     use super::*;
-    use rockface_core::artefact::Artefact;
+    use rockface_core::artefact::{Artefact, Cell, Feature, Georeference, Polygon, Transform};
     use rockface_core::testing::{TestHost, run_stage};
 
     fn imported(text: &str, with: &serde_json::Value) -> Result<Inventory, StageError> {
@@ -153,7 +158,8 @@ mod tests {
         let listed = r#", "columns": ["volume_m3"]"#;
         let path = json!({"path": "a.geojson"});
         let found = imported(&file("\"wall\"", listed, "volume_m3"), &path).unwrap();
-        assert_eq!((found.frame, found.columns.as_slice()), (Frame::Wall, ["volume_m3".to_owned()].as_slice()));
+        // What is not listed stands behind what is.
+        assert_eq!((found.frame, found.columns), (Frame::Wall, ["volume_m3", "a"].map(String::from).to_vec()));
         assert_eq!((found.features.len(), found.features[0].outline[0].exterior.len()), (1, 4));
         let unlisted = imported(&file("\"wall\"", "", "volume_m3"), &path).unwrap();
         assert_eq!((unlisted.frame, unlisted.columns.len()), (Frame::Wall, 2));
@@ -169,6 +175,32 @@ mod tests {
         let overruled = json!({"path": "a.geojson", "crs": "EPSG:32633", "frame": "world"});
         let mapped = imported(&file("\"wall\"", listed, "volume_m3"), &overruled).unwrap();
         assert_eq!(mapped.frame.crs().unwrap().epsg(), Some(32633));
+    }
+
+    #[test]
+    fn a_property_that_was_added_to_a_file_of_ours_is_a_column_and_the_frame_is_kept() {
+        let way = Transform { origin: [385_012.0, 6_355_040.0, 12.0], ..Transform::identity("world", "wall") };
+        let frame = Frame::Wall.at(Some(Georeference { crs: None, wall_from_world: Some(way) }));
+        let exterior = vec![[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]];
+        let outline = vec![Polygon { exterior, holes: Vec::new() }];
+        let features = vec![Feature { outline, values: vec![7.0.into(), 0.25.into()] }];
+        let found = Inventory { frame, columns: ["id", "volume_m3"].map(String::from).to_vec(), features };
+        let own = String::from_utf8(found.encode().unwrap()).unwrap();
+        let path = json!({"path": "a.geojson"});
+        let marked = own.replace("\"properties\":{\"id\"", "\"properties\":{\"verified\":\"yes\",\"by\":null,\"id\"");
+        let read = imported(&marked, &path).unwrap();
+        assert_eq!(read.columns, ["id", "volume_m3", "by", "verified"]);
+        assert_eq!((read.frame, read.frame.georeference()), (frame, frame.georeference()));
+        let values = &read.features[0].values;
+        assert_eq!((values[..2].to_vec(), &values[3]), (found.features[0].values.clone(), &Cell::from("yes")));
+        assert_eq!(read.features[0].outline, found.features[0].outline);
+        // Saved anew by a program that keeps the system but no other member.
+        let start = own.find("\"rockface\":").unwrap();
+        let end = own.find("\"features\":").unwrap();
+        let saved = own[..start].to_owned() + &own[end..];
+        let read = imported(&saved, &path).unwrap();
+        assert_eq!((read.frame, read.columns), (Frame::Wall, found.columns));
+        assert_eq!(imported(&saved, &json!({"path": "a.geojson", "frame": "world"})).unwrap().frame, Frame::World);
     }
 
     #[test]

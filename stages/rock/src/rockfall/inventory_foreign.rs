@@ -1,5 +1,7 @@
 //! Reads rockfall inventories that other programs wrote as GeoJSON.
 
+use std::collections::BTreeSet;
+
 use serde_json::Value;
 
 use rockface_core::artefact::{Cell, CodecError, Feature, Frame, Inventory, Polygon};
@@ -9,8 +11,8 @@ use rockface_core::format::without_mark;
 use rockface_core::limits;
 use rockface_core::names::twice;
 
-/// Reads a feature collection. Its member `rockface` states frame and columns; without it the frame is world, and properties
-/// become columns in alphabetical order.
+/// Reads a feature collection. Its member `rockface` states frame and columns; without it the frame is the one that its member `crs` names, as
+/// files of ours do, or world. Properties that are not listed become columns too, behind those that are, in alphabetical order.
 ///
 /// # Errors
 /// Text that is no feature collection; a frame that is not known; the feature (counted from 0) that lacks a column which the
@@ -22,14 +24,16 @@ pub fn read(bytes: &[u8]) -> Result<Inventory, CodecError> {
     let features = features.ok_or_else(|| CodecError::new("not a GeoJSON feature collection: it has no `features`"))?;
     let properties =
         |feature: &Value| feature.get("properties").and_then(Value::as_object).cloned().unwrap_or_default();
-    let names: std::collections::BTreeSet<String> =
+    let mut names: BTreeSet<String> =
         features.iter().flat_map(|feature| properties(feature).into_iter().map(|(name, _)| name)).collect();
     let about = about(&file)?;
     let listed = about.as_ref().and_then(|about| about.columns.clone());
-    let columns: Vec<String> = listed.clone().unwrap_or_else(|| names.into_iter().collect());
-    if listed.is_none() {
-        check_columns(features, columns.len())?;
+    let mut columns = listed.clone().unwrap_or_default();
+    columns.iter().for_each(|column| drop(names.remove(column)));
+    if !names.is_empty() {
+        check_columns(features, columns.len() + names.len())?;
     }
+    columns.extend(names);
     let cells = (features.len() as u64).checked_mul((columns.len() * size_of::<Cell>()) as u64);
     limits::affordable(
         &format!("an inventory of {} features with {} properties", features.len(), columns.len()),
@@ -49,7 +53,27 @@ pub fn read(bytes: &[u8]) -> Result<Inventory, CodecError> {
         Ok(Feature { outline, values })
     };
     let features = features.iter().enumerate().map(read).collect::<Result<_, CodecError>>()?;
-    Ok(Inventory { frame: about.map_or(Frame::World, |about| about.frame), columns, features })
+    let frame = about.map_or_else(|| frame_of_crs(&file), |about| about.frame);
+    Ok(Inventory { frame, columns, features })
+}
+
+/// How files of ours call the system of an inventory in the wall frame.
+const WALL_SYSTEM: &str = "LOCAL_CS[\"rockface wall frame\"";
+
+/// The frame of a file without member `rockface`: wall where its member `crs` has the name that we give to it.
+fn frame_of_crs(file: &Value) -> Frame {
+    let name = file.pointer("/crs/properties/name").and_then(Value::as_str);
+    if name.is_some_and(|name| name.starts_with(WALL_SYSTEM)) { Frame::Wall } else { Frame::World }
+}
+
+/// Properties of a file of ours that its member `rockface` does not list, in alphabetical order: those that were added to it by hand.
+pub fn unlisted(bytes: &[u8], columns: &[String]) -> Vec<String> {
+    let Ok(file) = serde_json::from_slice::<Value>(without_mark(bytes)) else { return Vec::new() };
+    let features = file.get("features").and_then(Value::as_array).into_iter().flatten();
+    let properties = features.filter_map(|feature| feature.get("properties").and_then(Value::as_object));
+    let names: BTreeSet<&String> = properties.flat_map(serde_json::Map::keys).collect();
+    let listed: BTreeSet<&String> = columns.iter().collect();
+    names.difference(&listed).map(ToString::to_string).collect()
 }
 
 /// Cells that are made of one property on average, at most: those of features that lack it are empty.

@@ -196,6 +196,17 @@ impl Distribution {
         }
     }
 
+    /// What keeps its values within a range.
+    fn way_within(&self) -> &'static str {
+        match self {
+            Self::Normal(_) => "bound it: `truncated_normal` takes `min` and `max` beside `mean` and `sd`",
+            Self::Constant(_) => "give another `value`",
+            Self::Discrete(_) | Self::Samples(_) => "leave out the `values` beyond it",
+            Self::Density(_) => "leave out the values of `x` beyond it",
+            _ => "bound it with `min` and `max`",
+        }
+    }
+
     /// What its own numbers contradict, each at its parameter.
     fn faults(&self) -> Vec<Fault> {
         let ordered = |key: &str, low: f64, high: f64| {
@@ -289,6 +300,10 @@ impl ParamType for Quantity {
         if !value.is_object() {
             return Err(vec![Fault::new(format!("expected a number or a distribution, found {value}"))]);
         }
+        let bounds = bounds_of_normal(value);
+        if !bounds.is_empty() {
+            return Err(bounds);
+        }
         let distribution = Distribution::decode(value)?;
         let faults = distribution.faults();
         if faults.is_empty() { Ok(Self::Drawn(distribution)) } else { Err(faults) }
@@ -307,9 +322,22 @@ impl ParamType for Quantity {
             return Vec::new();
         }
         vec![Fault::new(format!(
-            "can draw values from {low} to {high}, but must be {range}; bound it with `min` and `max`"
+            "can draw values from {low} to {high}, but must be {range}; {}",
+            distribution.way_within()
         ))]
     }
+}
+
+/// Bounds that are given to `normal`, which has none.
+fn bounds_of_normal(value: &Value) -> Vec<Fault> {
+    let given =
+        ["min", "max"].into_iter().filter(|key| value.get("normal").is_some_and(|normal| normal.get(key).is_some()));
+    let fault = |key| {
+        Fault::new("`normal` has no bounds: `truncated_normal` is the one with `min` and `max`")
+            .below(key)
+            .below("normal")
+    };
+    given.map(fault).collect()
 }
 
 #[cfg(test)]
@@ -333,6 +361,22 @@ mod tests {
         assert_eq!(bar.length_m, Quantity::Fixed(2.0));
         assert_eq!(bar.encode(), json!({"length_m": 2.0, "width_m": {"uniform": {"min": 0.0, "max": 1.0}}}));
         assert_eq!(Bar::decode(&bar.encode()).unwrap(), bar);
+    }
+
+    #[test]
+    fn a_normal_distribution_is_bounded_by_truncating_it() {
+        let faults = |value: Value| Bar::decode(&json!({"length_m": value})).unwrap_err();
+        let found = faults(json!({"normal": {"mean": 5, "sd": 0.1}}));
+        assert!(found[0].message.contains("must be > 0; bound it: `truncated_normal` takes"), "{found:?}");
+        let found = faults(json!({"normal": {"mean": 5, "sd": 0.1, "min": 4, "max": 6}}));
+        let places: Vec<String> = found.iter().map(|fault| fault.path.join(".")).collect();
+        assert_eq!(places, ["length_m.normal.min", "length_m.normal.max"]);
+        assert!(found[0].message.contains("`truncated_normal`"), "{found:?}");
+        let found = faults(json!({"uniform": {"min": -1, "max": 1}}));
+        assert!(found[0].message.ends_with("bound it with `min` and `max`"), "{found:?}");
+        let found = faults(json!({"samples": {"values": [-1, 1]}}));
+        assert!(found[0].message.ends_with("leave out the `values` beyond it"), "{found:?}");
+        assert!(Bar::decode(&json!({"length_m": {"truncated_normal": {"mean": 5, "sd": 0.1, "min": 4}}})).is_ok());
     }
 
     #[test]

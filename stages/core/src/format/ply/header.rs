@@ -145,6 +145,8 @@ pub struct Header {
     pub elements: Vec<Element>,
     /// The frame our own comment states, otherwise world.
     pub frame: Frame,
+    /// Whether a comment states it.
+    pub states_frame: bool,
 }
 
 impl Header {
@@ -154,7 +156,7 @@ impl Header {
         if magic != Some("ply") {
             return Err(bad("the first line is not `ply`"));
         }
-        let (mut encoding, mut elements, mut frame) = (None, Vec::new(), Frame::World);
+        let (mut encoding, mut elements, mut stated) = (None, Vec::new(), None);
         let mut georeference = None;
         let mut declared = 0;
         loop {
@@ -169,9 +171,9 @@ impl Header {
                 ["end_header"] => break,
                 ["format", word, _version] => encoding = Some(parse_encoding(word)?),
                 ["comment", ..] => {
-                    frame = stated_frame(text).unwrap_or(frame);
-                    if let Some(stated) = text.strip_prefix(GEOREFERENCE_COMMENT) {
-                        georeference = Some(Georeference::from_text(stated)?);
+                    stated = stated_frame(text).or(stated);
+                    if let Some(text) = text.strip_prefix(GEOREFERENCE_COMMENT) {
+                        georeference = Some(Georeference::from_text(text)?);
                     }
                 }
                 ["obj_info", ..] | [] => {}
@@ -192,7 +194,8 @@ impl Header {
             }
         }
         let encoding = encoding.ok_or_else(|| bad("the header states no `format`"))?;
-        Ok((Self { encoding, elements, frame: frame.at(georeference) }, rest))
+        let frame = stated.unwrap_or(Frame::World).at(georeference);
+        Ok((Self { encoding, elements, frame, states_frame: stated.is_some() }, rest))
     }
 
     /// An element by name.

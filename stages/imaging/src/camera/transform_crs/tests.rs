@@ -5,7 +5,7 @@ use std::sync::Arc;
 use serde_json::json;
 
 use super::*;
-use rockface_core::artefact::{Artefact, Image};
+use rockface_core::artefact::{Artefact, Georeference, Image};
 use rockface_core::format::ply::read_mesh;
 use rockface_core::params::ParamType;
 use rockface_core::testing::{TestHost, run_stage};
@@ -55,6 +55,20 @@ fn a_wall_gets_x_along_y_up_z_out() {
         assert!((Vector3::from(*vertex) - Vector3::from(expected)).norm() < 1e-12, "{vertex:?}");
     }
     assert_eq!((mesh.frame, transform.from.as_str(), transform.to.as_str()), (Frame::Wall, "world", "wall"));
+}
+
+#[test]
+fn a_mesh_in_the_wall_frame_keeps_its_way_to_the_world() {
+    let (moved, transform, _) = run(&json!({}), wall(), None).unwrap();
+    let way = Transform { crs: None, ..transform };
+    let crs = "EPSG:32633".parse().ok();
+    let frame = Frame::Wall.at(Some(Georeference { crs, wall_from_world: Some(way.clone()) }));
+    for with in [json!({}), json!({"frame": "given"})] {
+        let (again, stated, _) = run(&with, Mesh { frame, ..moved.clone() }, None).unwrap();
+        assert_eq!((again.vertices, &stated), (moved.vertices.clone(), &way));
+        let (_, unknown, _) = run(&with, Mesh { frame: Frame::Wall, ..moved.clone() }, None).unwrap();
+        assert!(unknown.is_identity());
+    }
 }
 
 #[test]

@@ -3,7 +3,7 @@
 use serde_json::{Value, json};
 
 use super::*;
-use rockface_core::artefact::{Artefact, Georeference, Noun};
+use rockface_core::artefact::{Artefact, Georeference, Noun, Transform};
 use rockface_core::format::ply;
 use rockface_core::params::ParamType;
 use rockface_core::testing::{TestHost, height_mesh, run_stage};
@@ -23,7 +23,7 @@ fn run(bytes: &[u8], offset_m: [f64; 3], defects: Defects) -> (Result<Mesh, Stag
 fn square(triangles: &[[u32; 3]]) -> Vec<u8> {
     let vertices = vec![[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0], [7.0, 7.0, 7.0]];
     let colours = Vec::new();
-    ply::write_mesh(&Mesh { frame: Frame::Wall, vertices, triangles: triangles.to_vec(), colours })
+    ply::write_mesh(&Mesh { frame: Frame::World, vertices, triangles: triangles.to_vec(), colours })
 }
 
 #[test]
@@ -44,7 +44,7 @@ fn coordinates_in_single_precision_are_warned_of_with_their_step() {
         let corners = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]];
         let vertices = corners.iter().map(|[a, b]| [x + 8.0 * a, y + 8.0 * b, 0.0]).collect();
         let triangles = vec![[0, 1, 2], [0, 2, 3]];
-        ply::write_mesh(&Mesh { frame: Frame::Wall, vertices, triangles, colours: Vec::new() })
+        ply::write_mesh(&Mesh { frame: Frame::World, vertices, triangles, colours: Vec::new() })
     };
     let warnings = |bytes: &[u8]| run(bytes, [0.0; 3], Defects::Refuse).1.warnings();
     let found = warnings(&at(451_000.0, 5_512_342.0));
@@ -118,6 +118,39 @@ fn with(bytes: &[u8], extra: &Value) -> (Result<Mesh, StageError>, TestHost) {
     let outputs = run_stage::<ImportMesh>(&host, &with, &[]);
     let mesh = outputs.map(|outputs| Mesh::of(&outputs.into_inner()["mesh"]).unwrap().clone());
     (mesh, host)
+}
+
+/// A PLY of ours in this frame.
+fn stating(frame: Frame) -> Vec<u8> {
+    let vertices = vec![[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
+    ply::write_mesh(&Mesh { frame, vertices, triangles: vec![[0, 1, 2]], colours: Vec::new() })
+}
+
+#[test]
+fn the_frame_that_a_file_states_holds_with_its_place_in_the_world() {
+    let way = Transform { origin: [385_012.0, 6_355_040.0, 12.0], ..Transform::identity("world", "wall") };
+    let crs = "EPSG:32633".parse().ok();
+    let placed = Frame::Wall.at(Some(Georeference { crs, wall_from_world: Some(way) }));
+    for (frame, given) in [(placed, None), (placed, Some("wall")), (Frame::World, None), (Frame::World, Some("world"))]
+    {
+        let given = given.map_or_else(|| json!({}), |name| json!({"frame": name}));
+        let (mesh, host) = with(&stating(frame), &given);
+        let read = mesh.unwrap().frame;
+        assert_eq!((read, read.georeference()), (frame, frame.georeference()));
+        assert!(host.warnings().is_empty(), "{:?}", host.warnings());
+    }
+    // What is given holds against it, with a warning.
+    for (frame, given) in [(placed, "world"), (Frame::World, "wall")] {
+        let (mesh, host) = with(&stating(frame), &json!({"frame": given}));
+        assert_eq!(mesh.unwrap().frame.name(), given);
+        let text = format!("itself states the {} frame, but `frame: {given}` is given", frame.name());
+        assert!(host.warnings().iter().any(|warning| warning.contains(&text)), "{:?}", host.warnings());
+    }
+    let error = with(&stating(placed), &json!({"crs": "EPSG:32633"})).0.unwrap_err();
+    assert!(error.message.contains("states the wall frame") && error.hint.unwrap().contains("frame: world"));
+    // Files of other programs state none.
+    let (mesh, host) = with(tilted(0.1, 1.0).as_bytes(), &json!({"frame": "wall"}));
+    assert_eq!((mesh.unwrap().frame, host.warnings().len()), (Frame::Wall, 0), "{:?}", host.warnings());
 }
 
 #[test]
