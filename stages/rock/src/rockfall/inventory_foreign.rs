@@ -29,7 +29,9 @@ pub fn read(bytes: &[u8]) -> Result<Inventory, CodecError> {
     let about = about(&file)?;
     let listed = about.as_ref().and_then(|about| about.columns.clone());
     let mut columns = listed.clone().unwrap_or_default();
-    columns.iter().for_each(|column| drop(names.remove(column)));
+    for column in &columns {
+        names.remove(column);
+    }
     if !names.is_empty() {
         check_columns(features, columns.len() + names.len())?;
     }
