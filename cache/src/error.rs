@@ -56,11 +56,15 @@ pub enum StoreError {
         /// What the system said.
         source: io::Error,
     },
-    /// The folder holds other things.
+    /// The folder holds other things, or has lost what says that it is a store.
     #[error(
-        "{} is not a store and not empty (it holds `{entry}`): give an empty or a new folder for the store{}",
+        "{} is not a store and not empty (it holds `{entry}`): {}",
         dir.display(),
-        if *was_store { "; it has the folders of a store, and is one again with a file `format` that says `rockface store 1`" } else { "" }
+        if *was_store {
+            "it has the folders of a store, but its file `format` is gone: write `rockface store 1` into a file of that name, or give another folder"
+        } else {
+            "give an empty or a new folder for the store"
+        }
     )]
     NotAStore {
         /// The path of the folder.

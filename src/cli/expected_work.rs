@@ -10,13 +10,13 @@ use serde_json::Value;
 
 /// What records say of instances: the elapsed seconds of those that were alike and how many there were, and versions of stages.
 #[derive(Default)]
-pub struct Times {
+pub struct OnRecord {
     alike: HashMap<String, (f64, u32)>,
     /// The versions of stages on record.
     pub versions: Versions,
 }
 
-impl Times {
+impl OnRecord {
     /// Those of all records of a store.
     pub fn new(store: &Store) -> Self {
         let mut times = Self::default();
@@ -56,7 +56,7 @@ fn params_without_numbers(value: &Value) -> Value {
     }
 }
 
-impl Times {
+impl OnRecord {
     /// The mean of all steps of a stage.
     fn of_stage(&self, stage: &str) -> Option<f64> {
         self.alike.get(stage).map(|(wall_s, count)| wall_s / f64::from(*count))
@@ -89,7 +89,7 @@ const NAMED: usize = 4;
 
 impl Work {
     /// Adds up what is open.
-    pub fn of(plan: &Plan, answers: &[Answer], times: &Times) -> Self {
+    pub fn of(plan: &Plan, answers: &[Answer], times: &OnRecord) -> Self {
         let mut work = Self::default();
         for instance in (0..answers.len()).filter(|instance| answers[*instance].is_open()) {
             match times.expected_s(plan, instance) {
@@ -129,7 +129,7 @@ impl Work {
     }
 
     /// Adds instances of a stage that are not in the plan yet.
-    fn add(&mut self, stage: &str, count: usize, times: &Times) {
+    fn add(&mut self, stage: &str, count: usize, times: &OnRecord) {
         match times.of_stage(stage) {
             Some(wall_s) => {
                 self.timed += count;

@@ -224,7 +224,7 @@ fn print_json(plan: &Plan, answers: &Answers, told: &Explanation) {
         })
     };
     let whole = json!({
-        "asked": about(told.asked), "explained": about(told.explained), "key": told.recipe.key(),
+        "asked": about(told.asked), "stage_version": told.version, "explained": about(told.explained), "key": told.recipe.key(),
         "recipe": as_value(told), "recipe_text": told.recipe.text(),
         "causes": told.causes.iter().map(cause).collect::<Vec<_>>(),
     });

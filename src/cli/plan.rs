@@ -6,7 +6,7 @@ use clap::Args;
 use rockface_core::Registry;
 use serde_json::json;
 
-use super::expected_work::{Times, Work};
+use super::expected_work::{OnRecord, Work};
 use super::programs::ProgramArgs;
 use super::{CliError, PipelineArgs, complain, say};
 use rockface_engine::explain::{Answer, Answers, Why};
@@ -41,7 +41,7 @@ impl PlanArgs {
             complain(&format!("warning: {label}: {text}"));
         }
         let is_timed = answers.list().iter().any(|answer| answer.is_open()) || !unknown(&plan).is_empty();
-        let times = if is_timed { Times::new(&store) } else { Times::default() };
+        let times = if is_timed { OnRecord::new(&store) } else { OnRecord::default() };
         if self.json {
             print_json(&plan, answers.list(), &times);
         } else {
@@ -50,7 +50,7 @@ impl PlanArgs {
         Ok(())
     }
 
-    fn print(&self, plan: &Plan, answers: &[Answer], times: &Times) {
+    fn print(&self, plan: &Plan, answers: &[Answer], times: &OnRecord) {
         let width = plan.graph.steps.iter().map(|step| step.name.chars().count()).max().unwrap_or(0).max(4);
         say(&format!("{:width$}  {:>9} {:>6} {:>6} {:>8}  why", "step", "instances", "hit", "runs", "depends"));
         let mut instances: Vec<Vec<usize>> = vec![Vec::new(); plan.graph.steps.len()];
@@ -101,7 +101,7 @@ impl PlanArgs {
 }
 
 /// Why an instance is not a hit; where nothing on record has its recipe, the versions of its stage too, if that may be why.
-fn why(plan: &Plan, answers: &[Answer], times: &Times, instance: usize) -> Option<String> {
+fn why(plan: &Plan, answers: &[Answer], times: &OnRecord, instance: usize) -> Option<String> {
     let why = answers[instance].why(plan)?;
     let is_new = answers[instance] == Answer::Runs(Why::New);
     let change = if is_new { times.versions.change(plan, instance) } else { None };
@@ -115,12 +115,13 @@ fn unknown(plan: &Plan) -> Vec<(&str, Unknown)> {
     unknown.filter_map(|(step, unknown)| Some((plan.graph.steps[step].name.as_str(), unknown?))).collect()
 }
 
-fn print_json(plan: &Plan, answers: &[Answer], times: &Times) {
+fn print_json(plan: &Plan, answers: &[Answer], times: &OnRecord) {
     let instances = answers.iter().enumerate().map(|(instance, answer)| {
         let step = plan.step(instance);
         let estimate_s = if answer.is_open() { times.expected_s(plan, instance) } else { None };
         json!({
             "step": step.name, "point": plan.point(instance), "answer": answer.word(), "why": why(plan, answers, times, instance),
+            "stage_version": if answer.is_open() { times.versions.change(plan, instance) } else { None },
             "estimate_s": estimate_s,
         })
     });

@@ -93,16 +93,25 @@ fn take_over(arguments: &mut PipelineArgs, manifest: &Manifest, copied: Option<C
 pub struct Repeated {
     /// How many outputs have the digest they had.
     same: usize,
-    /// How many have another one, or were not made then.
+    /// How many have another one, or were made in one of the two runs only.
     others: usize,
     /// What is to be said of it, and what may be why outputs differ, a line each.
     pub lines: Vec<String>,
 }
 
 impl Repeated {
-    /// Whether every output that was made has the digest it had.
+    /// Whether there are outputs, those of the former run and no others, each with the digest it had.
     pub fn is_same(&self) -> bool {
-        self.others == 0
+        self.others == 0 && self.same > 0
+    }
+
+    /// What there is to say where outputs have to be the same.
+    pub fn fault(&self) -> String {
+        match self.others {
+            0 => "error: no output was made, and `--require-same` holds outputs against those of the run".to_owned(),
+            1 => "error: 1 output is not as the run had it (`--require-same`)".to_owned(),
+            others => format!("error: {others} outputs are not as the run had them (`--require-same`)"),
+        }
     }
 }
 
@@ -116,11 +125,12 @@ pub fn verdict(manifest: &Manifest, copied: Option<&Copied>, plan: &Plan, summar
             (done.label(), outputs.collect())
         })
         .collect();
-    let (mut same, mut others) = (0, Vec::new());
+    let (mut same, mut others, mut made) = (0, Vec::new(), BTreeSet::new());
     for (instance, result) in summary.instances.iter().enumerate() {
         let Some(outcome) = &result.outcome else { continue };
         let label = sorted_label(plan, instance);
         for (port, output) in &outcome.outputs {
+            made.insert((label.clone(), port.as_str()));
             match former.get(&label).and_then(|outputs| outputs.get(port.as_str())) {
                 Some(digest) if *digest == output.digest => same += 1,
                 Some(digest) => others.push(format!(
@@ -132,6 +142,7 @@ pub fn verdict(manifest: &Manifest, copied: Option<&Copied>, plan: &Plan, summar
             }
         }
     }
+    others.extend(missing(manifest, plan, &made));
     if others.is_empty() && same == 0 {
         return Repeated { same, others: 0, lines: vec!["repeated: no output was made".to_owned()] };
     }
@@ -167,6 +178,20 @@ fn changed_files(manifest: &Manifest, plan: &Plan, copied: Option<&Copied>) -> V
     changed.collect()
 }
 
+/// The outputs of steps that are wanted now which the former run made, and this one did not.
+fn missing(manifest: &Manifest, plan: &Plan, made: &BTreeSet<(String, &str)>) -> Vec<String> {
+    let steps = plan.graph.steps.iter().zip(plan.graph.wanted()).filter(|(_, is_wanted)| *is_wanted);
+    let wanted: BTreeSet<&str> = steps.map(|(step, _)| step.name.as_str()).collect();
+    let mut missing = Vec::new();
+    for done in manifest.steps.iter().filter(|done| wanted.contains(&*done.step)) {
+        let label = done.label();
+        let ports = done.outputs.iter().flatten().map(|(port, _)| port.as_str());
+        let lost = ports.filter(|port| !made.contains(&(label.clone(), *port)));
+        missing.extend(lost.map(|port| format!("missing  {label}.{port}: the former run made it")));
+    }
+    missing
+}
+
 /// The stages whose version is not what it was, each once.
 fn changed_stages(manifest: &Manifest, plan: &Plan) -> BTreeSet<String> {
     let former: BTreeMap<(&str, &str), u32> =
@@ -182,11 +207,21 @@ fn changed_stages(manifest: &Manifest, plan: &Plan) -> BTreeSet<String> {
 /// Which program made the run, where it is not this one, or on which processor.
 fn changed_program(manifest: &Manifest) -> Option<String> {
     let (then, now) = (&manifest.program, rockface_engine::version::program());
-    let differs = |what: &[&str]| what.iter().any(|what| then[what] != now[what]);
-    if differs(&["rockface", "source", "compiler", "target", "cargo_lock_blake3"]) {
-        return Some(format!("this is not the program that made the run, which was {}", manifest.made_by()));
+    if then["source"] != now["source"] {
+        let this = rockface_engine::version::TEXT;
+        return Some(format!("the run was made by {}, this is rockface {this}", manifest.made_by()));
     }
-    differs(&["cpu_features"]).then(|| "this is the program that made the run, on another kind of processor".to_owned())
+    let facts = [
+        ("compiler", "compiler"),
+        ("target", "target"),
+        ("dependencies", "cargo_lock_blake3"),
+        ("system", "os"),
+        ("kind of processor", "cpu_features"),
+    ];
+    let other: Vec<&str> = facts.iter().filter(|(_, key)| then[key] != now[key]).map(|(name, _)| *name).collect();
+    let names = other.join(", ");
+    (!other.is_empty())
+        .then(|| format!("the run was made by the same version of the program, but not the same {names}"))
 }
 
 /// The label with its axes by name, as manifests have them.

@@ -53,7 +53,7 @@ pub struct RunArgs {
     /// Run every step that is not cached twice, and fail where the two outputs differ.
     #[arg(long)]
     check_determinism: bool,
-    /// When a past run is repeated by its run.json: fail where an output is not the same (exit code 1).
+    /// When a past run is repeated by its run.json: fail where an output is not the same, is missing, or was not made then (exit code 1).
     #[arg(long)]
     require_same: bool,
     /// Write where the time went: a trace for Perfetto (ui.perfetto.dev) or Chrome, with a row for each thread and a span for
@@ -138,8 +138,11 @@ impl RunArgs {
             repeated.iter().flat_map(|repeated| &repeated.lines).for_each(|line| say(line));
             self.report(&store, &summary, &told, wall_s);
         }
-        let is_other = self.require_same && repeated.is_some_and(|repeated| !repeated.is_same());
-        let failed = summary.failed || is_other;
+        let unlike = repeated.filter(|repeated| self.require_same && !repeated.is_same());
+        if let Some(unlike) = &unlike {
+            complain(&unlike.fault());
+        }
+        let failed = summary.failed || unlike.is_some();
         // The process ends now: dropping a large plan would only take time.
         std::mem::forget((pipeline, plan, summary));
         if failed { Err(CliError::Failed) } else { Ok(()) }

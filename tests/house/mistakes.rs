@@ -144,7 +144,7 @@ fn slips_are_answered_with_what_was_meant() {
         (&["plan", "p.yaml", "--set", "dem.with.cell_m=0.1"], "did you mean `steps.dem.with.cell_m`?"),
         (
             &["plan", "quickstart", "--set", "real.compared.align.between_points=false"],
-            "`real` uses the part `rockface/no-change`: set what it declares (`rockface parts rockface/no-change`)",
+            "did you mean `steps.real.with.compared.align.between_points`? `rockface parts rockface/no-change` lists what",
         ),
         (&["plan", "site.yaml"], "there is `below/site.yaml`"),
         (&["plan", "data.yaml"], "`--set params.data=...` gives another path"),

@@ -3,7 +3,7 @@
 use rockface_cache::Store;
 use serde_json::Value;
 
-use crate::cli::{House, SMALL};
+use crate::cli::{House, SMALL, last_line};
 
 /// A store with the results of another one, as if the next version of each stage had made them.
 fn of_next_versions(house: &House, from: &str, to: &str) {
@@ -59,11 +59,37 @@ fn a_repetition_names_stages_and_program_that_changed() {
     let (code, out, err) = house.rockface(&again);
     assert_eq!(code, Some(0), "{err}");
     assert!(out.contains("changed  stage rasterise-dem: version 99 then, ") && !out.contains("synthesise"), "{out}");
-    assert!(out.contains("not the program that made the run, which was rockface 0.0.9 (commit abc)"), "{out}");
-    let (code, _, _) = house.rockface(&[&again[..], &["--require-same"]].concat());
-    assert_eq!(code, Some(1));
+    assert!(out.contains("the run was made by rockface 0.0.9 (commit abc), this is rockface "), "{out}");
+    let required = [&again[..], &["--require-same"]].concat();
+    let (code, _, err) = house.rockface(&required);
+    assert!(code == Some(1) && err.contains("1 output is not as the run had it"), "{err}");
+    let (code, out, _) = house.rockface(&[&required[..], &["--json"]].concat());
+    let ended: Value = serde_json::from_str(last_line(&out)).unwrap();
+    assert_eq!((code, &ended["failed"], &ended["repeated"]["others"]), (Some(1), &false.into(), &1.into()), "{out}");
     let (code, _, err) = house.rockface(&["run", "p.yaml", "--require-same"]);
     assert!(code == Some(2) && err.contains("give the run.json"), "{err}");
+}
+
+#[test]
+fn a_repetition_has_to_make_all_that_the_run_made() {
+    let house = House::new(SMALL);
+    assert_eq!(house.rockface(&["run", "p.yaml"]).0, Some(0));
+    let path = house.path(".rockface/runs/latest/run.json").canonicalize().unwrap();
+    let required = ["run", path.to_str().unwrap(), "--require-same"];
+    let (code, out, err) = house.rockface(&required);
+    assert!(code == Some(0) && out.contains("all 2 outputs are the same"), "{out}{err}");
+    let mut manifest: Value = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
+    for done in manifest["steps"].as_array_mut().unwrap() {
+        if done["step"] == "dem" {
+            done["outputs"]["slope"] = done["outputs"]["raster"].clone();
+        }
+    }
+    std::fs::write(&path, manifest.to_string()).unwrap();
+    let (code, out, err) = house.rockface(&required);
+    assert!(code == Some(1) && out.contains("missing  dem.slope: the former run made it"), "{out}{err}");
+    // What is not asked for now is not missing.
+    let (code, out, err) = house.rockface(&[&required[..], &["--target", "face"]].concat());
+    assert!(code == Some(0) && out.contains("all 1 outputs are the same"), "{out}{err}");
 }
 
 #[test]

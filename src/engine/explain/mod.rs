@@ -26,7 +26,8 @@ pub struct Explanation {
     pub recipe: Recipe,
     /// From the explained instance up to the root cause; empty where the recipe is on record.
     pub causes: Vec<Cause>,
-    /// The version of the stage of the instance asked for, on record and now, where no result on record has that of this program.
+    /// Where another instance is explained: the version of the stage of the one asked for, on record and now, if no result on record has that of
+    /// this program.
     pub version: Option<String>,
 }
 
@@ -66,7 +67,7 @@ pub fn explain(plan: &Plan, store: &Store, answers: &Answers, asked: usize, runs
     for former in causes.iter_mut().filter_map(|cause| cause.former.as_mut()) {
         former.run = former::run_naming(runs, &former.key);
     }
-    let version = if answers.list()[asked].is_open() { Versions::on_record(store).change(plan, asked) } else { None };
+    let version = if explained == asked { None } else { Versions::on_record(store).change(plan, asked) };
     Some(Explanation { asked, explained, recipe, causes, version })
 }
 

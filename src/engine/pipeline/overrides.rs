@@ -220,13 +220,9 @@ fn meant(root: &Node, first: &str, rest: &[&str]) -> Option<String> {
     }
     let below = rest.strip_prefix(&["with"]).unwrap_or(rest);
     let part = root.get("steps").and_then(|steps| steps.get(first)?.get("use")?.text());
-    // Steps of a part are reached by what it declares only.
-    if let Some(part) = part.filter(|_| below.len() > 1) {
-        return Some(format!(
-            "`{first}` uses the part `{part}`: set what it declares (`rockface parts {part}`) by `steps.{first}.with.NAME`"
-        ));
-    }
-    Some(format!("did you mean `steps.{first}.with.{}`?", below.join(".")))
+    // Steps inside of a part are reached by what it declares only.
+    let limit = part.map(|part| format!(" `rockface parts {part}` lists what can stand behind `with`."));
+    Some(format!("did you mean `steps.{first}.with.{}`?{}", below.join("."), limit.unwrap_or_default()))
 }
 
 /// Puts a value where a path of keys leads, and makes the maps on the way.

@@ -40,6 +40,12 @@ fn system(frame: Frame) -> String {
     }
 }
 
+/// Whether a member `crs` has the name that we give to the wall frame, as other programs may write it again.
+pub fn names_wall_frame(name: &str) -> bool {
+    let ours = system(Frame::Wall);
+    ours.split_once(',').is_some_and(|(begins, _)| name.starts_with(begins))
+}
+
 fn check(inventory: &Inventory) -> Result<(), CodecError> {
     if let Some(twin) = twice(inventory.columns.iter().collect()) {
         return Err(fault(&format!("two columns are called `{twin}`")));

@@ -34,7 +34,7 @@ pub struct SelectPairs;
 impl Stage for SelectPairs {
     type Params = SelectPairsParams;
     const NAME: &'static str = "select-pairs";
-    const VERSION: u32 = 4;
+    const VERSION: u32 = 5;
     const PAGE: Page = Page::new(include_str!("select_pairs.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("cameras", &[Kind::Cameras], "The true orientation."),
@@ -76,6 +76,11 @@ impl Stage for SelectPairs {
         };
         for pair in &pairs {
             context.note(figures(pair));
+            // A pair that is named holds whatever its figures are.
+            let broken = faults(params, pair);
+            if !broken.is_empty() {
+                context.warn(format!("{}, beyond {}", figures(pair), broken.join(", ")));
+            }
         }
         context.metric("pairs", pairs.len() as f64, "1");
         let mut paired = cameras.clone();
@@ -324,6 +329,20 @@ mod tests {
         let mut vertical = row(&[("a", 0.0), ("b", 0.0)]);
         vertical.images[1].centre_m[1] = 3.0;
         assert_eq!(names(&select(&vertical, face(Frame::Wall), &json!({})).unwrap()), ["a+b"]);
+    }
+
+    #[test]
+    fn a_pair_that_is_named_holds_beyond_the_limits_with_a_warning() {
+        let cameras = row(&[("a", 0.0), ("b", 4.0)]);
+        let warnings = |params: Value| {
+            let host = TestHost::default();
+            let inputs = [("mesh", Artefact::from(face(Frame::Wall))), ("cameras", Artefact::from(cameras.clone()))];
+            rockface_core::testing::run_stage::<SelectPairs>(&host, &params, &inputs).unwrap();
+            host.warnings()
+        };
+        let warned = warnings(json!({"list": ["a+b"], "min_overlap": 0.9}));
+        assert!(warned[0].contains("overlap 0.600") && warned[0].ends_with("beyond min_overlap"), "{warned:?}");
+        assert_eq!(warnings(json!({"list": ["a+b"]})), [""; 0]);
     }
 
     #[test]

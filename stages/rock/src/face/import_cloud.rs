@@ -4,13 +4,16 @@ use nalgebra::Vector3;
 
 use crate::face::cloud;
 use crate::face::cloud::Cloud;
+use crate::face::file_frame;
+use crate::face::file_frame::{FileFrame, Given};
 use crate::face::sheet;
 use crate::face::sheet::{Made, Rules, SheetPlane};
 use crate::face::{placing, point_classes, rounding};
 use rockface_core::artefact::{Frame, Kind};
 use rockface_core::crs::{CrsName, Stated, Tool, settle, wall_without_system};
+use rockface_core::format::ply;
 use rockface_core::params::{Fault, GeoFileRef, Range};
-use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params};
+use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
 use rockface_raster::plane_fit;
 use rockface_raster::plane_fit::Plane;
 
@@ -21,23 +24,13 @@ const LEAST_NORMAL_SHARE: f64 = 0.3;
 /// Faces within this cosine of the vertical may well overhang (30 degrees).
 const STEEP: f64 = 0.5;
 
-choice! {
-    /// The frame of the file's coordinates.
-    pub enum CloudFrame {
-        /// The input's coordinate reference system, Z up.
-        World = "world",
-        /// X along the face, Y up the face, Z out of the rock.
-        Wall = "wall",
-    }
-}
-
 params! {
     /// Parameters of `import-cloud`.
     pub struct ImportCloudParams {
         /// The file; its format is told by its content: LAS, LAZ, PLY, or columns of numbers (XYZ, TXT, CSV, PTS).
         path: GeoFileRef,
         /// The frame of the file's coordinates.
-        frame: CloudFrame = CloudFrame::World,
+        frame: FileFrame = FileFrame::Automatic,
         /// The coordinate reference system of a file that states none, itself or in a `.prj` beside it: `EPSG:28356`.
         crs: Option<CrsName> = None,
         /// Metres of a unit of the file's coordinates: 0.001 for millimetres. A file that states a coordinate reference system states its unit;
@@ -70,7 +63,7 @@ pub struct ImportCloud;
 impl Stage for ImportCloud {
     type Params = ImportCloudParams;
     const NAME: &'static str = "import-cloud";
-    const VERSION: u32 = 7;
+    const VERSION: u32 = 8;
     const PAGE: Page = Page::new(include_str!("import_cloud.md"));
     const INPUTS: &'static [Port] = &[];
     const OUTPUTS: &'static [Port] = &[Port::one("mesh", &[Kind::Mesh], "The mesh, in the frame of the file.")];
@@ -78,7 +71,7 @@ impl Stage for ImportCloud {
     fn check(params: &Self::Params) -> Vec<Fault> {
         let zero = params.outward.is_some_and(|outward| Vector3::from(outward).norm() == 0.0);
         let fault = || Fault { path: vec!["outward".into()], ..Fault::new("a direction cannot be zero") };
-        let on_wall = params.crs.as_ref().and_then(|_| wall_without_system(params.frame == CloudFrame::Wall));
+        let on_wall = params.crs.as_ref().and_then(|_| wall_without_system(params.frame == FileFrame::Wall));
         let two_units = placing::unit_beside_system(params.unit_m, params.crs.as_ref());
         let classes = point_classes::fault(params.classes.as_deref()).map(|text| Fault::new(text).below("classes"));
         zero.then(fault).into_iter().chain(on_wall).chain(two_units).chain(classes).collect()
@@ -87,6 +80,7 @@ impl Stage for ImportCloud {
     fn run(params: &Self::Params, _inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
         let path = &params.path.0;
         let (bytes, system) = context.read_georeferenced(&params.path)?;
+        let own_frame = ply::stated_frame(&bytes);
         let tool = if bytes.starts_with(b"LASF") { Tool::Pdal } else { Tool::Other };
         let listed = params.classes.as_deref();
         let wanted = |class: u8| point_classes::is_kept(listed, class);
@@ -104,12 +98,25 @@ impl Stage for ImportCloud {
         }
         placing::scale(&mut cloud.points, params.unit_m);
         rounding::warning(&cloud.points).into_iter().for_each(|text| context.warn(text));
-        let frame = framed(&mut cloud, params, (tool, system.as_deref()), context)?;
+        let given = Given {
+            path,
+            frame: params.frame,
+            has_crs: params.crs.is_some(),
+            has_prj: system.is_some(),
+            unit_m: params.unit_m,
+            offset_m: params.offset_m,
+        };
+        let frame = if file_frame::is_wall(own_frame, &given, context)? {
+            cloud.frame.filter(|frame| *frame == Frame::Wall).unwrap_or(Frame::Wall)
+        } else {
+            framed(&mut cloud, params, (tool, system.as_deref()), context)?
+        };
         placing::shift(&mut cloud.points, params.offset_m);
         context.check_cancelled()?;
         let plane = plane_fit::fit_points_robust(&cloud.points)
             .ok_or_else(|| StageError::new(format!("the points of `{path}` do not span a plane")))?;
-        let sheet = SheetPlane { origin: plane.centroid, axes: axes(outward(params, &cloud, &plane, context)?) };
+        let sheet =
+            SheetPlane { origin: plane.centroid, axes: axes(outward(params, &cloud, (&plane, frame), context)?) };
         let rules = Rules {
             cell_m: params.cell_m,
             max_edge_m: params.max_edge_m,
@@ -160,10 +167,6 @@ fn framed(
     (tool, prj): (Tool, Option<&[u8]>),
     context: &Context,
 ) -> Result<Frame, StageError> {
-    if params.frame == CloudFrame::Wall {
-        let own = cloud.frame.filter(|frame| *frame == Frame::Wall);
-        return Ok(own.unwrap_or(Frame::Wall));
-    }
     let stated = [cloud.stated.take(), prj.map(Stated::of_prj)];
     placing::check_unit(&params.path.0, params.unit_m, &stated)?;
     let middle = placing::middle(cloud.points.iter().copied(), params.offset_m);
@@ -180,10 +183,10 @@ fn framed(
 fn outward(
     params: &ImportCloudParams,
     cloud: &Cloud,
-    plane: &Plane,
+    (plane, frame): (&Plane, Frame),
     context: &Context,
 ) -> Result<Vector3<f64>, StageError> {
-    let in_world = params.frame == CloudFrame::World;
+    let in_world = frame == Frame::World;
     let normals = Vector3::from(cloud.normals) / cloud.points.len() as f64;
     let by_normals = || {
         let agree = in_world && plane.normal.dot(&normals).abs() >= LEAST_NORMAL_SHARE;

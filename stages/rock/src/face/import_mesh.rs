@@ -2,12 +2,15 @@
 
 use nalgebra::Vector3;
 
+use crate::face::file_frame;
+use crate::face::file_frame::{FileFrame, Given};
 use crate::face::inspection::{Found, Inspection};
 use crate::face::repair;
 use crate::face::repair::Repaired;
 use crate::face::{mesh_file, orient, placing, rounding, stray};
 use rockface_core::artefact::{Frame, Kind, Mesh};
 use rockface_core::crs::{CrsName, Stated, Tool, settle, wall_without_system};
+use rockface_core::format::ply;
 use rockface_core::params::{Fault, GeoFileRef, Range};
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, params};
 use rockface_raster::mesh_check;
@@ -17,18 +20,6 @@ const LEAST_COSINE: f64 = 0.02;
 
 /// Beyond this cosine a mean normal that points down is strange for a face (30 degrees below the horizontal).
 const DOWNWARDS: f64 = 0.5;
-
-choice! {
-    /// The frame of the file's coordinates.
-    pub enum FileFrame {
-        /// The one that the file states itself, as a PLY of ours does, otherwise world.
-        Automatic = "automatic",
-        /// The input's coordinate reference system.
-        World = "world",
-        /// X along the face, Y up the face, Z out of the rock.
-        Wall = "wall",
-    }
-}
 
 choice! {
     /// What to repair.
@@ -118,57 +109,20 @@ impl Stage for ImportMesh {
         }
         placing::scale(&mut mesh.vertices, params.unit_m);
         rounding::warning(&mesh.vertices).into_iter().for_each(|text| context.warn(text));
-        let is_wall = is_wall(mesh_file::stated_frame(&bytes), params, system.is_some(), context)?;
+        let given = Given {
+            path,
+            frame: params.frame,
+            has_crs: params.crs.is_some(),
+            has_prj: system.is_some(),
+            unit_m: params.unit_m,
+            offset_m: params.offset_m,
+        };
+        let is_wall = file_frame::is_wall(ply::stated_frame(&bytes), &given, context)?;
         mesh.frame = framed(&mut mesh, params, (is_wall, system.as_deref()), context)?;
         placing::shift(&mut mesh.vertices, params.offset_m);
         context.check_cancelled()?;
         tidy(&mut mesh, params, context)?;
         Ok(Outputs::of("mesh", mesh))
-    }
-}
-
-/// Whether the coordinates are in the wall frame, by what the file states itself and by what is given.
-///
-/// # Errors
-/// The file states the wall frame, and `crs` a system of map coordinates.
-fn is_wall(
-    stated: Option<Frame>,
-    params: &ImportMeshParams,
-    has_prj: bool,
-    context: &Context,
-) -> Result<bool, StageError> {
-    let path = &params.path.0;
-    let says_wall = stated == Some(Frame::Wall);
-    let overruled = |given: &str, own: &str| {
-        context.warn(format!(
-            "`{path}` itself states the {own} frame, but `frame: {given}` is given, which holds; leave `frame` out to go by the file"
-        ));
-    };
-    match params.frame {
-        FileFrame::Automatic if says_wall && params.crs.is_some() => Err(StageError::new(format!(
-            "`{path}` itself states the wall frame, parameter `crs` a system of map coordinates"
-        ))
-        .hint("leave `crs` out; or say `frame: world` if its vertices have map coordinates after all")),
-        FileFrame::Automatic => {
-            if says_wall && has_prj {
-                context.warn(format!(
-                    "`{path}` itself states the wall frame: the system in the `.prj` beside it is left out"
-                ));
-            }
-            Ok(says_wall)
-        }
-        FileFrame::World => {
-            if says_wall {
-                overruled("world", "wall");
-            }
-            Ok(false)
-        }
-        FileFrame::Wall => {
-            if stated == Some(Frame::World) {
-                overruled("wall", "world");
-            }
-            Ok(true)
-        }
     }
 }
 

@@ -1,7 +1,7 @@
 //! Mesh files of several formats, told apart by their content.
 
 use super::{obj, stl};
-use rockface_core::artefact::{CodecError, Frame, Mesh};
+use rockface_core::artefact::{CodecError, Mesh};
 use rockface_core::format::ply;
 
 /// Reads a mesh from a PLY, OBJ or STL file, text or binary.
@@ -30,11 +30,6 @@ pub fn read(bytes: &[u8], cancelled: &dyn Fn() -> bool) -> Result<Mesh, CodecErr
             "its content is not PLY, OBJ or STL; convert it, or use `import-cloud` for columns of points",
         ))
     }
-}
-
-/// The frame that a file of ours states itself, with its georeference; files of other programs state none.
-pub fn stated_frame(bytes: &[u8]) -> Option<Frame> {
-    bytes.starts_with(b"ply").then(|| ply::stated_frame(bytes)).flatten()
 }
 
 /// The beginning of a word for a message. Of a file that was not meant to be shown, which a link may lead to, it shows no more.

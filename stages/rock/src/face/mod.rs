@@ -6,6 +6,7 @@ pub mod cloud_text;
 pub mod column_marks;
 pub mod column_names;
 pub mod distance;
+pub mod file_frame;
 pub mod half_edges;
 pub mod inspection;
 pub mod mesh_cleaning;

@@ -6,6 +6,7 @@ use serde_json::Value;
 
 use rockface_core::artefact::{Cell, CodecError, Feature, Frame, Inventory, Polygon};
 use rockface_core::crs::{Kind, Stated};
+use rockface_core::format::inventory_file;
 use rockface_core::format::table_file::MOST_COLUMNS;
 use rockface_core::format::without_mark;
 use rockface_core::limits;
@@ -59,13 +60,10 @@ pub fn read(bytes: &[u8]) -> Result<Inventory, CodecError> {
     Ok(Inventory { frame, columns, features })
 }
 
-/// How files of ours call the system of an inventory in the wall frame.
-const WALL_SYSTEM: &str = "LOCAL_CS[\"rockface wall frame\"";
-
 /// The frame of a file without member `rockface`: wall where its member `crs` has the name that we give to it.
 fn frame_of_crs(file: &Value) -> Frame {
     let name = file.pointer("/crs/properties/name").and_then(Value::as_str);
-    if name.is_some_and(|name| name.starts_with(WALL_SYSTEM)) { Frame::Wall } else { Frame::World }
+    if name.is_some_and(inventory_file::names_wall_frame) { Frame::Wall } else { Frame::World }
 }
 
 /// Properties of a file of ours that its member `rockface` does not list, in alphabetical order: those that were added to it by hand.

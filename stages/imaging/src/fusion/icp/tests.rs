@@ -55,13 +55,13 @@ fn still() -> Transform {
 fn a_small_motion_is_undone_to_a_hundredth_of_a_millimetre() {
     let (source, target) = (surface(rough, &motion()), surface(rough, &still()));
     let ways = [
-        (Method::PointToPlane, Pairing::InPlan),
-        (Method::PointToPlane, Pairing::InSpace),
-        (Method::PointToPoint, Pairing::InSpace),
+        (Method::PointToPlane, Pairing::InPlan, true),
+        (Method::PointToPlane, Pairing::InPlan, false),
+        (Method::PointToPlane, Pairing::InSpace, false),
+        (Method::PointToPoint, Pairing::InSpace, false),
     ];
-    for (method, pairing) in ways {
-        let settings =
-            Settings { method, pairing, max_iterations: 200, between_points: pairing == Pairing::InPlan, ..SETTINGS };
+    for (method, pairing, between_points) in ways {
+        let settings = Settings { method, pairing, max_iterations: 200, between_points, ..SETTINGS };
         let found = register(&source, &target, &settings).unwrap();
         for corner in [[0.0, 0.0], [9.0, 7.0], [9.0, 0.0]] {
             let p = Point3::new(451_000.0 + corner[0], 5_512_000.0 + corner[1], 300.0);

@@ -44,6 +44,21 @@ fn a_vertical_wall_needs_to_be_told_its_side() {
     }
 }
 
+#[test]
+fn the_frame_that_a_file_states_holds() {
+    let vertices: Vec<[f64; 3]> =
+        (0..400).map(|i| [0.1 * f64::from(i % 20), 0.1 * f64::from(i / 20), 5e-3 * f64::from(i * 7 % 11)]).collect();
+    let triangles = (0..380).filter(|i| i % 20 < 19).map(|i| [i, i + 1, i + 20]).collect();
+    let own = Mesh { frame: Frame::Wall, vertices, triangles, colours: Vec::new() };
+    let file = rockface_core::format::ply::write_mesh(&own);
+    let (mesh, host) = import(&file, &json!({}));
+    assert_eq!((mesh.unwrap().frame, host.warnings().len()), (Frame::Wall, 0), "{:?}", host.warnings());
+    let (mesh, host) = import(&file, &json!({"frame": "world"}));
+    assert_eq!(mesh.unwrap().frame, Frame::World);
+    assert!(host.warnings()[0].contains("states the wall frame"), "{:?}", host.warnings());
+    assert!(import(&file, &json!({"crs": "EPSG:32633"})).0.unwrap_err().message.contains("states the wall frame"));
+}
+
 /// A face that looks north and overhangs by 12 degrees, as text or as PLY with normals.
 fn overhang(normals: &str) -> String {
     let point = |i: u32| {

@@ -143,11 +143,20 @@ fn the_frame_that_a_file_states_holds_with_its_place_in_the_world() {
     for (frame, given) in [(placed, "world"), (Frame::World, "wall")] {
         let (mesh, host) = with(&stating(frame), &json!({"frame": given}));
         assert_eq!(mesh.unwrap().frame.name(), given);
-        let text = format!("itself states the {} frame, but `frame: {given}` is given", frame.name());
+        let text = format!(
+            "taken to be in the {given} frame, as `frame: {given}` says; `frame: {}` goes by the file",
+            frame.name()
+        );
         assert!(host.warnings().iter().any(|warning| warning.contains(&text)), "{:?}", host.warnings());
     }
     let error = with(&stating(placed), &json!({"crs": "EPSG:32633"})).0.unwrap_err();
     assert!(error.message.contains("states the wall frame") && error.hint.unwrap().contains("frame: world"));
+    // A wall frame whose place in the world is known is not moved; without a place it may be.
+    for moved in [json!({"unit_m": 0.001}), json!({"offset_m": [0.0, 2.0, 0.0]})] {
+        let error = with(&stating(placed), &moved).0.unwrap_err();
+        assert!(error.message.contains("would make untrue"), "{error}");
+        assert_eq!(with(&stating(Frame::Wall), &moved).0.unwrap().frame, Frame::Wall);
+    }
     // Files of other programs state none.
     let (mesh, host) = with(tilted(0.1, 1.0).as_bytes(), &json!({"frame": "wall"}));
     assert_eq!((mesh.unwrap().frame, host.warnings().len()), (Frame::Wall, 0), "{:?}", host.warnings());

@@ -1,0 +1,84 @@
+//! The frame of a file's coordinates, by what the file states itself and by what is given.
+
+use rockface_core::artefact::Frame;
+use rockface_core::{Context, StageError, choice};
+
+choice! {
+    /// The frame of the file's coordinates.
+    pub enum FileFrame {
+        /// The one that the file states itself, as a PLY of ours does, otherwise world.
+        Automatic = "automatic",
+        /// The input's coordinate reference system, Z up.
+        World = "world",
+        /// X along the face, Y up the face, Z out of the rock.
+        Wall = "wall",
+    }
+}
+
+/// What parameters say of the coordinates of a file.
+pub struct Given<'a> {
+    /// The path of the file.
+    pub path: &'a str,
+    /// The frame.
+    pub frame: FileFrame,
+    /// Whether a coordinate reference system is given.
+    pub has_crs: bool,
+    /// Whether there is a `.prj` beside the file.
+    pub has_prj: bool,
+    /// Metres of a unit.
+    pub unit_m: f64,
+    /// Added to every point, metres.
+    pub offset_m: [f64; 3],
+}
+
+/// Whether the coordinates are in the wall frame; `stated` is the frame that the file states itself, with its georeference.
+///
+/// # Errors
+/// The file states the wall frame, and `crs` is a system of map coordinates; it states how the wall lies in the world, which does not hold for
+/// coordinates that are scaled or shifted.
+pub fn is_wall(stated: Option<Frame>, given: &Given, context: &Context) -> Result<bool, StageError> {
+    let path = given.path;
+    let says_wall = stated == Some(Frame::Wall);
+    let overruled = |given: &str, own: &str| {
+        context.warn(format!(
+            "`{path}` itself states the {own} frame, but its coordinates are taken to be in the {given} frame, as `frame: {given}` says; \
+             `frame: {own}` goes by the file"
+        ));
+    };
+    let is_wall = match given.frame {
+        FileFrame::Automatic if says_wall && given.has_crs => {
+            return Err(StageError::new(format!(
+                "`{path}` itself states the wall frame, parameter `crs` a system of map coordinates"
+            ))
+            .hint("leave `crs` out; or say `frame: world` if it has map coordinates after all"));
+        }
+        FileFrame::Automatic => {
+            if says_wall && given.has_prj {
+                context.warn(format!(
+                    "`{path}` itself states the wall frame: the system in the `.prj` beside it is left out"
+                ));
+            }
+            says_wall
+        }
+        FileFrame::World => {
+            if says_wall {
+                overruled("world", "wall");
+            }
+            false
+        }
+        FileFrame::Wall => {
+            if stated == Some(Frame::World) {
+                overruled("wall", "world");
+            }
+            true
+        }
+    };
+    let is_moved = (given.unit_m - 1.0).abs() > 0.0 || given.offset_m.iter().any(|shift| shift.abs() > 0.0);
+    if is_wall && is_moved && stated.is_some_and(|frame| says_wall && frame.georeference().is_some()) {
+        return Err(StageError::new(format!(
+            "`{path}` states how its wall frame lies in the world, which `unit_m` and `offset_m` would make untrue"
+        ))
+        .hint("leave them out, or take the comment `rockface georeference` out of the file"));
+    }
+    Ok(is_wall)
+}
