@@ -301,22 +301,21 @@ impl Fit<'_> {
         finer.or_else(|| self.normals.at(place))
     }
 
-    /// The height of the target in plan at a point, by the triangles about the nearest place, metres; `None` where none covers it. Of several, as
-    /// where the surface is folded, that nearest to the point.
+    /// The height of the target in plan at a point, by the triangles about the nearest place, metres; `None` where none covers it. Of
+    /// several, as where noise folds the surface, the first: the nearest would be the one whose noise fits.
     fn height_m(&self, place: usize, at: &Vector3<f64>) -> Option<f64> {
         let (row, column) = (place / self.target.width, place % self.target.width);
         let rows = row.saturating_sub(1)..(row + 1).min(self.target.height - 1);
         let columns = column.saturating_sub(1)..(column + 1).min(self.target.width - 1);
         let squares = rows.flat_map(|row| columns.clone().map(move |column| (row, column)));
-        let heights = squares.flat_map(|(row, column)| self.target.triangles(row, column)).filter_map(|corners| {
+        squares.flat_map(|(row, column)| self.target.triangles(row, column)).find_map(|corners| {
             let [a, b, c] = corners.map(|corner| local(self.target, corner));
             let (u, v, w) = ((b - a).xy(), (c - a).xy(), (at - a).xy());
             let twice_area = u.perp(&v);
             let (of_b, of_c) = (w.perp(&v) / twice_area, u.perp(&w) / twice_area);
             let is_within = of_b >= -EDGE && of_c >= -EDGE && of_b + of_c <= 1.0 + EDGE;
             is_within.then(|| a.z + of_b * (b.z - a.z) + of_c * (c.z - a.z))
-        });
-        heights.min_by(|one, other| (one - at.z).abs().total_cmp(&(other - at.z).abs()))
+        })
     }
 
     /// A point at a pose and its partner, where it has one with a normal within the search distance.

@@ -1,7 +1,7 @@
 //! The frame of a file's coordinates, by what the file states itself and by what is given.
 
 use rockface_core::artefact::Frame;
-use rockface_core::{Context, StageError, choice};
+use rockface_core::{StageError, choice};
 
 choice! {
     /// The frame of the file's coordinates.
@@ -31,21 +31,22 @@ pub struct Given<'a> {
     pub offset_m: [f64; 3],
 }
 
-/// Whether the coordinates are in the wall frame; `stated` is the frame that the file states itself, with its georeference.
+/// Whether the coordinates are in the wall frame, and what there is to warn of; `stated` is the frame that the file states itself, with its
+/// georeference.
 ///
 /// # Errors
 /// The file states the wall frame, and `crs` is a system of map coordinates; it states how the wall lies in the world, which does not hold for
 /// coordinates that are scaled or shifted.
-pub fn is_wall(stated: Option<Frame>, given: &Given, context: &Context) -> Result<bool, StageError> {
+pub fn is_wall(stated: Option<Frame>, given: &Given) -> Result<(bool, Option<String>), StageError> {
     let path = given.path;
     let says_wall = stated == Some(Frame::Wall);
     let overruled = |given: &str, own: &str| {
-        context.warn(format!(
+        format!(
             "`{path}` itself states the {own} frame, but its coordinates are taken to be in the {given} frame, as `frame: {given}` says; \
              `frame: {own}` goes by the file"
-        ));
+        )
     };
-    let is_wall = match given.frame {
+    let (is_wall, warning) = match given.frame {
         FileFrame::Automatic if says_wall && given.has_crs => {
             return Err(StageError::new(format!(
                 "`{path}` itself states the wall frame, parameter `crs` a system of map coordinates"
@@ -53,25 +54,12 @@ pub fn is_wall(stated: Option<Frame>, given: &Given, context: &Context) -> Resul
             .hint("leave `crs` out; or say `frame: world` if it has map coordinates after all"));
         }
         FileFrame::Automatic => {
-            if says_wall && given.has_prj {
-                context.warn(format!(
-                    "`{path}` itself states the wall frame: the system in the `.prj` beside it is left out"
-                ));
-            }
-            says_wall
+            let left_out =
+                || format!("`{path}` itself states the wall frame: the system in the `.prj` beside it is left out");
+            (says_wall, (says_wall && given.has_prj).then(left_out))
         }
-        FileFrame::World => {
-            if says_wall {
-                overruled("world", "wall");
-            }
-            false
-        }
-        FileFrame::Wall => {
-            if stated == Some(Frame::World) {
-                overruled("wall", "world");
-            }
-            true
-        }
+        FileFrame::World => (false, says_wall.then(|| overruled("world", "wall"))),
+        FileFrame::Wall => (true, (stated == Some(Frame::World)).then(|| overruled("wall", "world"))),
     };
     let is_moved = (given.unit_m - 1.0).abs() > 0.0 || given.offset_m.iter().any(|shift| shift.abs() > 0.0);
     if is_wall && is_moved && stated.is_some_and(|frame| says_wall && frame.georeference().is_some()) {
@@ -80,5 +68,5 @@ pub fn is_wall(stated: Option<Frame>, given: &Given, context: &Context) -> Resul
         ))
         .hint("leave them out, or take the comment `rockface georeference` out of the file"));
     }
-    Ok(is_wall)
+    Ok((is_wall, warning))
 }

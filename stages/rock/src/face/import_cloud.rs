@@ -106,7 +106,9 @@ impl Stage for ImportCloud {
             unit_m: params.unit_m,
             offset_m: params.offset_m,
         };
-        let frame = if file_frame::is_wall(own_frame, &given, context)? {
+        let (is_wall, warning) = file_frame::is_wall(own_frame, &given)?;
+        warning.into_iter().for_each(|text| context.warn(text));
+        let frame = if is_wall {
             cloud.frame.filter(|frame| *frame == Frame::Wall).unwrap_or(Frame::Wall)
         } else {
             framed(&mut cloud, params, (tool, system.as_deref()), context)?

@@ -117,7 +117,8 @@ impl Stage for ImportMesh {
             unit_m: params.unit_m,
             offset_m: params.offset_m,
         };
-        let is_wall = file_frame::is_wall(ply::stated_frame(&bytes), &given, context)?;
+        let (is_wall, warning) = file_frame::is_wall(ply::stated_frame(&bytes), &given)?;
+        warning.into_iter().for_each(|text| context.warn(text));
         mesh.frame = framed(&mut mesh, params, (is_wall, system.as_deref()), context)?;
         placing::shift(&mut mesh.vertices, params.offset_m);
         context.check_cancelled()?;
