@@ -8,6 +8,7 @@ use nix::unistd::{Uid, User};
 use rustix::process::{getegid, geteuid, getgroups};
 
 use crate::Digest;
+use crate::open::FORMAT;
 
 /// A fault of the store or of the disk under it.
 #[derive(Debug, thiserror::Error)]
@@ -61,9 +62,9 @@ pub enum StoreError {
         "{} is not a store and not empty (it holds `{entry}`): {}",
         dir.display(),
         if *was_store {
-            "it has the folders of a store, but its file `format` is gone: write `rockface store 1` into a file of that name, or give another folder"
+            format!("it has the folders of a store, but its file `format` is gone: write `{FORMAT}` into a file of that name, or give another folder")
         } else {
-            "give an empty or a new folder for the store"
+            "give an empty or a new folder for the store".to_owned()
         }
     )]
     NotAStore {

@@ -15,7 +15,7 @@ use crate::plain;
 use crate::sharing::{NEW, Sharing};
 
 /// What the format file says.
-const FORMAT: &str = "rockface store 1";
+pub(crate) const FORMAT: &str = "rockface store 1";
 /// So much of the format file is read: a message shows the first 80 characters.
 const FORMAT_BYTES: u64 = 320;
 /// See <https://bford.info/cachedir/>; the first line is prescribed.

@@ -51,6 +51,7 @@ impl PlanArgs {
     }
 
     fn print(&self, plan: &Plan, answers: &[Answer], times: &OnRecord) {
+        let changes = changes(plan, answers, times);
         let width = plan.graph.steps.iter().map(|step| step.name.chars().count()).max().unwrap_or(0).max(4);
         say(&format!("{:width$}  {:>9} {:>6} {:>6} {:>8}  why", "step", "instances", "hit", "runs", "depends"));
         let mut instances: Vec<Vec<usize>> = vec![Vec::new(); plan.graph.steps.len()];
@@ -68,7 +69,7 @@ impl PlanArgs {
                 used = name;
             }
             let count = |word: &str| own.iter().filter(|i| answers[**i].word() == word).count();
-            let why = own.iter().find_map(|i| why(plan, answers, times, *i)).unwrap_or_default();
+            let why = own.iter().find_map(|i| why(plan, answers, &changes, *i)).unwrap_or_default();
             let (hit, runs, depends) = (count("hit"), count("runs"), count("depends"));
             say(&format!("{:width$}  {:>9} {hit:>6} {runs:>6} {depends:>8}  {why}", step.name, own.len()));
             if self.verbose {
@@ -88,11 +89,10 @@ impl PlanArgs {
             };
             say(&format!("{step:width$}  {:>9} {:>6} {:>6} {:>8}  {why}", "?", "", "", ""));
         }
-        let open = (0..answers.len()).filter(|instance| answers[*instance].is_open());
-        let changes: BTreeSet<String> = open.filter_map(|instance| times.versions.change(plan, instance)).collect();
-        if !changes.is_empty() {
-            let changes: Vec<String> = changes.into_iter().collect();
-            say(&format!("stages of another version than their results on record: {}", changes.join(", ")));
+        let changed: BTreeSet<&str> = changes.iter().flatten().map(String::as_str).collect();
+        if !changed.is_empty() {
+            let changed: Vec<&str> = changed.into_iter().collect();
+            say(&format!("stages of another version than their results on record: {}", changed.join(", ")));
         }
         Work::of(plan, answers, times).lines().iter().for_each(|line| say(line));
         let total = |word: &str| answers.iter().filter(|answer| answer.word() == word).count();
@@ -100,12 +100,21 @@ impl PlanArgs {
     }
 }
 
+/// Of each instance that is open, the change of the version of its stage, if its results on record are of another.
+fn changes(plan: &Plan, answers: &[Answer], times: &OnRecord) -> Vec<Option<String>> {
+    let change = |(instance, answer): (usize, &Answer)| {
+        if answer.is_open() { times.versions.change(plan, instance) } else { None }
+    };
+    answers.iter().enumerate().map(change).collect()
+}
+
 /// Why an instance is not a hit; where nothing on record has its recipe, the versions of its stage too, if that may be why.
-fn why(plan: &Plan, answers: &[Answer], times: &OnRecord, instance: usize) -> Option<String> {
+fn why(plan: &Plan, answers: &[Answer], changes: &[Option<String>], instance: usize) -> Option<String> {
     let why = answers[instance].why(plan)?;
-    let is_new = answers[instance] == Answer::Runs(Why::New);
-    let change = if is_new { times.versions.change(plan, instance) } else { None };
-    Some(change.map_or_else(|| why.clone(), |change| format!("{why}: {change}")))
+    match &changes[instance] {
+        Some(change) if answers[instance] == Answer::Runs(Why::New) => Some(format!("{why}: {change}")),
+        _ => Some(why),
+    }
 }
 
 /// The steps some of whose instances cannot be told yet, each with what it waits for.
@@ -116,12 +125,13 @@ fn unknown(plan: &Plan) -> Vec<(&str, Unknown)> {
 }
 
 fn print_json(plan: &Plan, answers: &[Answer], times: &OnRecord) {
+    let changes = changes(plan, answers, times);
     let instances = answers.iter().enumerate().map(|(instance, answer)| {
         let step = plan.step(instance);
         let estimate_s = if answer.is_open() { times.expected_s(plan, instance) } else { None };
         json!({
-            "step": step.name, "point": plan.point(instance), "answer": answer.word(), "why": why(plan, answers, times, instance),
-            "stage_version": if answer.is_open() { times.versions.change(plan, instance) } else { None },
+            "step": step.name, "point": plan.point(instance), "answer": answer.word(), "why": why(plan, answers, &changes, instance),
+            "stage_version": changes[instance],
             "estimate_s": estimate_s,
         })
     });

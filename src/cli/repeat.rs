@@ -7,7 +7,7 @@ use std::sync::Arc;
 use rockface_cache::Digest;
 
 use super::{CliError, PipelineArgs};
-use rockface_engine::history::Manifest;
+use rockface_engine::history::{Manifest, StepDone};
 use rockface_engine::pipeline::{Copied, is_same_axis, is_set_by, is_swept_by, without_detours};
 use rockface_engine::plan::Plan;
 use rockface_engine::run::Summary;
@@ -117,7 +117,7 @@ impl Repeated {
 
 /// Whether every output of a repetition has the digest it had, and what may be why not; `copied` are the input files where it read a copy.
 pub fn verdict(manifest: &Manifest, copied: Option<&Copied>, plan: &Plan, summary: &Summary) -> Repeated {
-    let former: BTreeMap<String, BTreeMap<&str, Digest>> = manifest
+    let mut former: BTreeMap<String, BTreeMap<&str, Digest>> = manifest
         .steps
         .iter()
         .map(|done| {
@@ -125,14 +125,13 @@ pub fn verdict(manifest: &Manifest, copied: Option<&Copied>, plan: &Plan, summar
             (done.label(), outputs.collect())
         })
         .collect();
-    let (mut same, mut others, mut made) = (0, Vec::new(), BTreeSet::new());
+    let (mut same, mut others) = (0, Vec::new());
     for (instance, result) in summary.instances.iter().enumerate() {
         let Some(outcome) = &result.outcome else { continue };
         let label = sorted_label(plan, instance);
         for (port, output) in &outcome.outputs {
-            made.insert((label.clone(), port.as_str()));
-            match former.get(&label).and_then(|outputs| outputs.get(port.as_str())) {
-                Some(digest) if *digest == output.digest => same += 1,
+            match former.get_mut(&label).and_then(|outputs| outputs.remove(port.as_str())) {
+                Some(digest) if digest == output.digest => same += 1,
                 Some(digest) => others.push(format!(
                     "differs  {label}.{port}: {} then, {} now",
                     digest.short(),
@@ -142,7 +141,7 @@ pub fn verdict(manifest: &Manifest, copied: Option<&Copied>, plan: &Plan, summar
             }
         }
     }
-    others.extend(missing(manifest, plan, &made));
+    others.extend(missing(manifest, plan, &former));
     if others.is_empty() && same == 0 {
         return Repeated { same, others: 0, lines: vec!["repeated: no output was made".to_owned()] };
     }
@@ -178,18 +177,16 @@ fn changed_files(manifest: &Manifest, plan: &Plan, copied: Option<&Copied>) -> V
     changed.collect()
 }
 
-/// The outputs of steps that are wanted now which the former run made, and this one did not.
-fn missing(manifest: &Manifest, plan: &Plan, made: &BTreeSet<(String, &str)>) -> Vec<String> {
+/// What is `left` of the outputs of the former run, by label, of steps that are wanted now.
+fn missing(manifest: &Manifest, plan: &Plan, left: &BTreeMap<String, BTreeMap<&str, Digest>>) -> Vec<String> {
     let steps = plan.graph.steps.iter().zip(plan.graph.wanted()).filter(|(_, is_wanted)| *is_wanted);
     let wanted: BTreeSet<&str> = steps.map(|(step, _)| step.name.as_str()).collect();
-    let mut missing = Vec::new();
-    for done in manifest.steps.iter().filter(|done| wanted.contains(&*done.step)) {
-        let label = done.label();
-        let ports = done.outputs.iter().flatten().map(|(port, _)| port.as_str());
-        let lost = ports.filter(|port| !made.contains(&(label.clone(), *port)));
-        missing.extend(lost.map(|port| format!("missing  {label}.{port}: the former run made it")));
-    }
-    missing
+    let labels = manifest.steps.iter().filter(|done| wanted.contains(&*done.step)).map(StepDone::label);
+    let of_step = |label: String| -> Vec<String> {
+        let ports = left[&label].keys();
+        ports.map(|port| format!("missing  {label}.{port}: the former run made it")).collect()
+    };
+    labels.flat_map(of_step).collect()
 }
 
 /// The stages whose version is not what it was, each once.

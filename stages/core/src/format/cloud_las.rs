@@ -9,7 +9,7 @@ use laz::{DecompressionSelection, LasZipDecompressor};
 
 use super::las_normals::Normals;
 use super::laz_check::{check_chunks, check_header, damaged, points_at};
-use crate::artefact::{CodecError, Frame};
+use crate::artefact::CodecError;
 use crate::crs::Stated;
 use crate::crs::geo_keys::GeoKeys;
 
@@ -28,8 +28,6 @@ pub struct Cloud {
     pub normals: [f64; 3],
     /// The coordinate reference system that the file states.
     pub stated: Option<Stated>,
-    /// The frame that our own files state.
-    pub frame: Option<Frame>,
     /// What was wrong with the file and could be read all the same, in sentences.
     pub warnings: Vec<String>,
 }

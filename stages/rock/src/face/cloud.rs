@@ -50,5 +50,5 @@ fn read_ply(bytes: &[u8]) -> Result<Cloud, CodecError> {
     let stated = frame.world_crs().map(Stated::of_crs);
     let sum = |sum: [f64; 3], normal: &[f32; 3]| [0, 1, 2].map(|axis| sum[axis] + f64::from(normal[axis]));
     let normals = normals.iter().fold([0.0; 3], sum);
-    Ok(Cloud { points, colours, normals, stated, frame: Some(frame), ..Cloud::default() })
+    Ok(Cloud { points, colours, normals, stated, ..Cloud::default() })
 }

@@ -1,5 +1,6 @@
 //! The frame of a file's coordinates, by what the file states itself and by what is given.
 
+use super::placing;
 use rockface_core::artefact::Frame;
 use rockface_core::{StageError, choice};
 
@@ -31,13 +32,13 @@ pub struct Given<'a> {
     pub offset_m: [f64; 3],
 }
 
-/// Whether the coordinates are in the wall frame, and what there is to warn of; `stated` is the frame that the file states itself, with its
-/// georeference.
+/// The wall frame, with its georeference if the file states one, where the coordinates are in it, and what there is to warn of; `stated` is the
+/// frame that the file states itself.
 ///
 /// # Errors
 /// The file states the wall frame, and `crs` is a system of map coordinates; it states how the wall lies in the world, which does not hold for
 /// coordinates that are scaled or shifted.
-pub fn is_wall(stated: Option<Frame>, given: &Given) -> Result<(bool, Option<String>), StageError> {
+pub fn wall(stated: Option<Frame>, given: &Given) -> Result<(Option<Frame>, Option<String>), StageError> {
     let path = given.path;
     let says_wall = stated == Some(Frame::Wall);
     let overruled = |given: &str, own: &str| {
@@ -61,12 +62,12 @@ pub fn is_wall(stated: Option<Frame>, given: &Given) -> Result<(bool, Option<Str
         FileFrame::World => (false, says_wall.then(|| overruled("world", "wall"))),
         FileFrame::Wall => (true, (stated == Some(Frame::World)).then(|| overruled("wall", "world"))),
     };
-    let is_moved = (given.unit_m - 1.0).abs() > 0.0 || given.offset_m.iter().any(|shift| shift.abs() > 0.0);
-    if is_wall && is_moved && stated.is_some_and(|frame| says_wall && frame.georeference().is_some()) {
+    let wall = is_wall.then(|| stated.filter(|_| says_wall).unwrap_or(Frame::Wall));
+    if wall.is_some_and(|wall| wall.georeference().is_some()) && placing::is_moved(given.unit_m, given.offset_m) {
         return Err(StageError::new(format!(
             "`{path}` states how its wall frame lies in the world, which `unit_m` and `offset_m` would make untrue"
         ))
         .hint("leave them out, or take the comment `rockface georeference` out of the file"));
     }
-    Ok((is_wall, warning))
+    Ok((wall, warning))
 }

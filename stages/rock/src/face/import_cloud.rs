@@ -106,12 +106,11 @@ impl Stage for ImportCloud {
             unit_m: params.unit_m,
             offset_m: params.offset_m,
         };
-        let (is_wall, warning) = file_frame::is_wall(own_frame, &given)?;
+        let (wall, warning) = file_frame::wall(own_frame, &given)?;
         warning.into_iter().for_each(|text| context.warn(text));
-        let frame = if is_wall {
-            cloud.frame.filter(|frame| *frame == Frame::Wall).unwrap_or(Frame::Wall)
-        } else {
-            framed(&mut cloud, params, (tool, system.as_deref()), context)?
+        let frame = match wall {
+            Some(wall) => wall,
+            None => framed(&mut cloud, params, (tool, system.as_deref()), context)?,
         };
         placing::shift(&mut cloud.points, params.offset_m);
         context.check_cancelled()?;
@@ -162,7 +161,7 @@ fn check_classes(cloud: &Cloud, params: &ImportCloudParams, context: &Context) -
     Ok(())
 }
 
-/// The frame of the cloud, and its points in metres.
+/// The world frame of the cloud, and its points in metres.
 fn framed(
     cloud: &mut Cloud,
     params: &ImportCloudParams,

@@ -117,9 +117,12 @@ impl Stage for ImportMesh {
             unit_m: params.unit_m,
             offset_m: params.offset_m,
         };
-        let (is_wall, warning) = file_frame::is_wall(ply::stated_frame(&bytes), &given)?;
+        let (wall, warning) = file_frame::wall(ply::stated_frame(&bytes), &given)?;
         warning.into_iter().for_each(|text| context.warn(text));
-        mesh.frame = framed(&mut mesh, params, (is_wall, system.as_deref()), context)?;
+        mesh.frame = match wall {
+            Some(wall) => wall,
+            None => framed(&mut mesh, params, system.as_deref(), context)?,
+        };
         placing::shift(&mut mesh.vertices, params.offset_m);
         context.check_cancelled()?;
         tidy(&mut mesh, params, context)?;
@@ -127,16 +130,13 @@ impl Stage for ImportMesh {
     }
 }
 
-/// The frame of the mesh, and its vertices in metres.
+/// The world frame of the mesh, and its vertices in metres.
 fn framed(
     mesh: &mut Mesh,
     params: &ImportMeshParams,
-    (is_wall, prj): (bool, Option<&[u8]>),
+    prj: Option<&[u8]>,
     context: &Context,
 ) -> Result<Frame, StageError> {
-    if is_wall {
-        return Ok(Frame::Wall.at(mesh.frame.georeference().filter(|_| mesh.frame == Frame::Wall).cloned()));
-    }
     let own = mesh.frame.world_crs().map(Stated::of_crs);
     let stated = [own, prj.map(Stated::of_prj)];
     placing::check_unit(&params.path.0, params.unit_m, &stated)?;

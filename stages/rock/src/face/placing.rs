@@ -14,9 +14,18 @@ pub fn scale(points: &mut [[f64; 3]], unit_m: f64) {
 
 /// Adds a shift in metres.
 pub fn shift(points: &mut [[f64; 3]], offset_m: [f64; 3]) {
-    if offset_m.iter().any(|shift| *shift != 0.0) {
+    if is_shift(offset_m) {
         points.iter_mut().for_each(|[x, y, z]| [*x, *y, *z] = [*x + offset_m[0], *y + offset_m[1], *z + offset_m[2]]);
     }
+}
+
+fn is_shift(offset_m: [f64; 3]) -> bool {
+    offset_m.iter().any(|shift| *shift != 0.0)
+}
+
+/// Whether a unit or a shift changes coordinates.
+pub fn is_moved(unit_m: f64, offset_m: [f64; 3]) -> bool {
+    is_given(unit_m) || is_shift(offset_m)
 }
 
 /// Points whose median is taken, at most.
