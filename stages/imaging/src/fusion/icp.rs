@@ -145,9 +145,13 @@ struct Moving {
     partner: Partner,
     target: Vector3<f64>,
     normal: Option<Vector3<f64>>,
+    /// Of the target, where the point was within it in plan.
+    triangle: Option<[usize; 3]>,
+    pair: Option<Pair>,
 }
 
 /// A point of the source (rotated about the centroid) and its difference from its partner.
+#[derive(Clone)]
 struct Pair {
     arm: Vector3<f64>,
     offset: Vector3<f64>,
@@ -261,8 +265,8 @@ impl Fit<'_> {
         let sum = |(sizes, points): (&[f64], &[Moving])| {
             let mut system = System::default();
             let kept = sizes.iter().zip(points).filter(|(size, _)| **size <= limit);
-            let pairs = kept.filter_map(|(_, point)| self.pair(pose, point));
-            pairs.for_each(|pair| system.add(&pair, method, self.radius_m));
+            let pairs = kept.filter_map(|(_, point)| point.pair.as_ref());
+            pairs.for_each(|pair| system.add(pair, method, self.radius_m));
             system
         };
         let parts = sizes.par_chunks(POINTS_AT_A_TIME).zip(points.par_chunks(POINTS_AT_A_TIME));
@@ -270,30 +274,44 @@ impl Fit<'_> {
         Ok(systems.iter().fold(System::default(), System::and))
     }
 
-    /// Finds the partners of points at a pose; their distances, NaN without a partner.
+    /// Pairs points at a pose; the distances of the pairs, NaN where there is none.
     fn pair_all(&self, pose: &Pose, points: &mut [Moving]) -> Vec<f64> {
         let mut sizes = vec![f64::NAN; points.len()];
         sizes.par_chunks_mut(POINTS_AT_A_TIME).zip(points.par_chunks_mut(POINTS_AT_A_TIME)).for_each(
             |(sizes, points)| {
                 for (size, point) in sizes.iter_mut().zip(points) {
                     self.pair_up(pose, point);
-                    *size = self.pair(pose, point).map_or(f64::NAN, |pair| pair.size(self.settings.method));
+                    *size = point.pair.as_ref().map_or(f64::NAN, |pair| pair.size(self.settings.method));
                 }
             },
         );
         sizes
     }
 
-    /// Finds the partner of a point at a pose.
+    /// Pairs a point at a pose, where it has a partner with a normal within the search distance.
     fn pair_up(&self, pose: &Pose, moving: &mut Moving) {
-        let point = pose.rotation * moving.arm + pose.translation;
+        let arm = pose.rotation * moving.arm;
+        let at = arm + pose.translation;
         let before = moving.partner.place();
-        if let Some(place) = self.columns.follow(&point, self.search_m, &mut moving.partner)
+        if let Some(place) = self.columns.follow(&at, self.search_m, &mut moving.partner)
             && before != Some(place)
         {
             moving.normal = self.normal(place);
             moving.target = local(self.target, place);
         }
+        moving.pair = moving.normal.and_then(|normal| {
+            let offset = self.offset(&at, moving)?;
+            (offset.norm_squared() <= self.search_m * self.search_m).then_some(Pair { arm, offset, normal })
+        });
+    }
+
+    /// From the target to a point, metres; `None` without a partner.
+    fn offset(&self, at: &Vector3<f64>, moving: &mut Moving) -> Option<Vector3<f64>> {
+        let place = moving.partner.place()?;
+        if !self.settings.between_points {
+            return Some(at - moving.target);
+        }
+        Some(Vector3::new(0.0, 0.0, at.z - self.height_m(place, at, &mut moving.triangle)?))
     }
 
     fn normal(&self, place: usize) -> Option<Vector3<f64>> {
@@ -301,34 +319,31 @@ impl Fit<'_> {
         finer.or_else(|| self.normals.at(place))
     }
 
-    /// The height of the target in plan at a point, by the triangles about the nearest place, metres; `None` where none covers it. Of
-    /// several, as where noise folds the surface, the first: the nearest would be the one whose noise fits.
-    fn height_m(&self, place: usize, at: &Vector3<f64>) -> Option<f64> {
+    /// The height of the target in plan at a point, metres, by the triangle it was within last or else by those about the nearest
+    /// place; `None` where none covers it. Of several, as where noise folds the surface, the first: the nearest would be the one
+    /// whose noise fits.
+    fn height_m(&self, place: usize, at: &Vector3<f64>, last: &mut Option<[usize; 3]>) -> Option<f64> {
+        if let Some(height_m) = last.and_then(|corners| self.height_within_m(corners, at)) {
+            return Some(height_m);
+        }
         let (row, column) = (place / self.target.width, place % self.target.width);
         let rows = row.saturating_sub(1)..(row + 1).min(self.target.height - 1);
         let columns = column.saturating_sub(1)..(column + 1).min(self.target.width - 1);
         let squares = rows.flat_map(|row| columns.clone().map(move |column| (row, column)));
-        squares.flat_map(|(row, column)| self.target.triangles(row, column)).find_map(|corners| {
-            let [a, b, c] = corners.map(|corner| local(self.target, corner));
-            let (u, v, w) = ((b - a).xy(), (c - a).xy(), (at - a).xy());
-            let twice_area = u.perp(&v);
-            let (of_b, of_c) = (w.perp(&v) / twice_area, u.perp(&w) / twice_area);
-            let is_within = of_b >= -EDGE && of_c >= -EDGE && of_b + of_c <= 1.0 + EDGE;
-            is_within.then(|| a.z + of_b * (b.z - a.z) + of_c * (c.z - a.z))
-        })
+        let mut triangles = squares.flat_map(|(row, column)| self.target.triangles(row, column));
+        let found = triangles.find_map(|corners| Some((corners, self.height_within_m(corners, at)?)));
+        *last = found.map(|(corners, _)| corners);
+        found.map(|(_, height_m)| height_m)
     }
 
-    /// A point at a pose and its partner, where it has one with a normal within the search distance.
-    fn pair(&self, pose: &Pose, moving: &Moving) -> Option<Pair> {
-        let place = moving.partner.place()?;
-        let arm = pose.rotation * moving.arm;
-        let (normal, at) = (moving.normal?, arm + pose.translation);
-        let offset = if self.settings.between_points {
-            Vector3::new(0.0, 0.0, at.z - self.height_m(place, &at)?)
-        } else {
-            at - moving.target
-        };
-        (offset.norm_squared() <= self.search_m * self.search_m).then_some(Pair { arm, offset, normal })
+    /// The height of a triangle of the target at a point, metres; `None` where it does not cover the point in plan.
+    fn height_within_m(&self, corners: [usize; 3], at: &Vector3<f64>) -> Option<f64> {
+        let [a, b, c] = corners.map(|corner| local(self.target, corner));
+        let (u, v, w) = ((b - a).xy(), (c - a).xy(), (at - a).xy());
+        let twice_area = u.perp(&v);
+        let (of_b, of_c) = (w.perp(&v) / twice_area, u.perp(&w) / twice_area);
+        let is_within = of_b >= -EDGE && of_c >= -EDGE && of_b + of_c <= 1.0 + EDGE;
+        is_within.then(|| a.z + of_b * (b.z - a.z) + of_c * (c.z - a.z))
     }
 }
 

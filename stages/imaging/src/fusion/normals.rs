@@ -13,14 +13,15 @@ use rockface_core::artefact::Surface;
 pub struct Neighbourhood {
     /// Half width, in points, of the square about the centre of a block that its normal is computed from.
     reach: usize,
-    /// Side, in points, of the blocks that share a normal.
+    /// Side, in points, of the blocks that share a normal: odd, so that the centre of each is one of its points. A normal that is
+    /// computed beside the middle of its block makes a registration place edges beside where they are.
     block: usize,
 }
 
 impl Neighbourhood {
-    /// 17 x 17 points, one normal for 4 x 4: where matching noise is two point spacings, normals from 5 x 5 points would be
+    /// 17 x 17 points, one normal for 5 x 5: where matching noise is two point spacings, normals from 5 x 5 points would be
     /// off by 16 degrees, from these they are off by 1.4. Relief shorter than these points is smoothed away.
-    pub const WIDEST: Self = Self { reach: 8, block: 4 };
+    pub const WIDEST: Self = Self { reach: 8, block: 5 };
     /// Reach where there is no noise, and what each spacing of noise adds to it.
     const LEAST_REACH: f64 = 2.0;
     const REACH_PER_SPACING: f64 = 3.0;
@@ -29,7 +30,7 @@ impl Neighbourhood {
     /// at two spacings.
     pub fn for_noise(spacings: f64) -> Self {
         let reach = (Self::LEAST_REACH + Self::REACH_PER_SPACING * spacings).round() as usize;
-        if reach < Self::WIDEST.reach { Self { reach, block: 2 } } else { Self::WIDEST }
+        if reach < Self::WIDEST.reach { Self { reach, block: 3 } } else { Self::WIDEST }
     }
 
     /// The row or column about which the normal of a block is computed.

@@ -63,7 +63,7 @@ pub struct RegisterIcp;
 impl Stage for RegisterIcp {
     type Params = RegisterIcpParams;
     const NAME: &'static str = "register-icp";
-    const VERSION: u32 = 5;
+    const VERSION: u32 = 6;
     const PAGE: Page = Page::new(include_str!("register_icp.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("source", &[Kind::Surface, Kind::Raster], "The surface that moves; a raster holds elevations."),

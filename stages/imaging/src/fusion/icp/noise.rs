@@ -66,7 +66,7 @@ impl Fit<'_> {
         }
         let mut moving = Moving { arm: point - self.centroid, ..Moving::default() };
         self.pair_up(pose, &mut moving);
-        self.pair(pose, &moving).map_or(f64::NAN, |pair| pair.offset.dot(&pair.normal))
+        moving.pair.map_or(f64::NAN, |pair| pair.offset.dot(&pair.normal))
     }
 }
 
