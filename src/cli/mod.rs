@@ -355,6 +355,7 @@ impl CliError {
     pub fn exit_code(&self) -> i32 {
         match self {
             Self::Failed => 1,
+            Self::History(HistoryError::Interrupted) => signals::INTERRUPTED,
             Self::History(HistoryError::Io { .. } | HistoryError::Changed { .. } | HistoryError::Store(_))
             | Self::Store(_)
             | Self::Damaged

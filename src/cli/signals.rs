@@ -8,10 +8,10 @@ use std::sync::atomic::AtomicBool;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM, SIGXFSZ};
 use signal_hook::flag;
 
-/// The exit code of a run that was interrupted.
-const INTERRUPTED: c_int = 130;
+/// The exit code of a command that was interrupted.
+pub const INTERRUPTED: c_int = 130;
 
-/// The first Ctrl-C (or SIGTERM) asks the run to stop, the second ends the process.
+/// The first Ctrl-C (or SIGTERM) asks the command to stop, the second ends the process.
 ///
 /// The end of the terminal (SIGHUP) asks too, and never ends the process: it is often told twice. A run that was started to
 /// outlive its terminal, with `nohup`, goes on.

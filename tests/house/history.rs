@@ -1,7 +1,10 @@
 //! Past runs as a user meets them: listed, compared, repeated, exported, archived, described.
 
 use std::path::Path;
+use std::sync::atomic::AtomicBool;
 
+use rockface_cache::Store;
+use rockface_engine::history::{self, HistoryError};
 use serde_json::Value;
 
 use crate::cli::{House, SMALL, last_line};
@@ -196,6 +199,19 @@ fn an_archive_holds_what_is_needed_to_check_a_run() {
             ["run.json", "run.mcap", "pipeline.yaml", "ro-crate-metadata.json"].iter().all(|f| files.contains_key(*f))
         );
     }
+}
+
+#[test]
+fn an_archive_that_is_interrupted_leaves_what_was_there() {
+    let house = House::new(SMALL);
+    assert_eq!(house.rockface(&["run", "p.yaml"]).0, Some(0));
+    let run = history::find(&house.path(".rockface/runs"), "latest").unwrap();
+    let store = Store::open(&house.path(".rockface/store")).unwrap();
+    let there = std::fs::read_dir(house.path("")).unwrap().count();
+    let contents = history::Contents { inputs: true, outputs: true };
+    let asked = history::archive(&run, &store, contents, &house.path("run.tar"), &AtomicBool::new(true));
+    assert!(matches!(asked, Err(HistoryError::Interrupted)), "{asked:?}");
+    assert_eq!(std::fs::read_dir(house.path("")).unwrap().count(), there);
 }
 
 #[test]

@@ -3,6 +3,8 @@
 pub mod provenance;
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 
 use clap::Args;
 use rockface_cache::{Digest, SafeName, Store};
@@ -10,7 +12,7 @@ use rockface_core::artefact::{Artefact, Kind};
 
 use super::own_file::{check_own, check_place, folder_of, write_own};
 use super::places::Places;
-use super::{CliError, complain, say};
+use super::{CliError, complain, say, signals};
 use rockface_engine::diagnostic::{listed, nearest};
 use rockface_engine::history::{self, HistoryError, Manifest, StepDone};
 use rockface_engine::pipeline::Label;
@@ -242,7 +244,9 @@ impl ArchiveArgs {
         let (at, has) = history::ARCHIVE_MARK;
         check_own(&to, at, has, "archive of a run")?;
         let contents = history::Contents { inputs: self.inputs, outputs: self.outputs };
-        let done = history::archive(&run, &self.places.store_of(&run)?, contents, &to)?;
+        let stop = Arc::new(AtomicBool::new(false));
+        signals::stop_on_signal(&stop);
+        let done = history::archive(&run, &self.places.store_of(&run)?, contents, &to, &stop)?;
         if done.missing > 0 {
             let missing = done.missing;
             complain(&format!("warning: {missing} records or logs of this run are not in the store any more"));

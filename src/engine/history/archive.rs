@@ -5,6 +5,7 @@ use std::fs::File;
 use std::io::{BufWriter, Read, Write};
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use rockface_cache::{Digest, NameError, OutputRecord, SafeName, SafePath, Store, StoreError};
 use rockface_core::artefact::Kind;
@@ -61,14 +62,21 @@ pub struct Contents {
 ///
 /// # Errors
 ///
-/// When a file cannot be read or written, or an input file is not what the run read.
-pub fn archive(run: &PastRun, store: &Store, contents: Contents, to: &Path) -> Result<Archived, HistoryError> {
+/// When a file cannot be read or written, an input file is not what the run read, or `stop` asks to stop: what was there then
+/// stays as it was.
+pub fn archive(
+    run: &PastRun,
+    store: &Store,
+    contents: Contents,
+    to: &Path,
+    stop: &AtomicBool,
+) -> Result<Archived, HistoryError> {
     let folder = to.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     std::fs::create_dir_all(folder).map_err(HistoryError::io("make the folder", folder))?;
     // Its own error names the temporary file, which nobody has asked for.
     let file = tempfile::NamedTempFile::new_in(folder).map_err(|error| std::io::Error::from(error.kind()));
     let file = file.map_err(HistoryError::io("write into", folder))?;
-    let mut packing = Packing { tar: tar::Builder::new(BufWriter::new(file)), sums: BTreeMap::new(), to };
+    let mut packing = Packing { tar: tar::Builder::new(BufWriter::new(file)), sums: BTreeMap::new(), to, stop };
     packing.add(Path::new("README"), README.as_bytes())?;
     let made = made(&run.manifest);
     let (files, strange) = files_of(run, &made, contents.outputs)?;
@@ -166,14 +174,18 @@ fn header(size: u64, is_program: bool) -> tar::Header {
     header
 }
 
-/// A file that is hashed while it is read.
+/// A file that is hashed while it is read, until it is asked to stop.
 struct Hashed<'a> {
     file: std::io::Take<File>,
     piece: &'a mut dyn FnMut(&[u8]),
+    stop: &'a AtomicBool,
 }
 
 impl Read for Hashed<'_> {
     fn read(&mut self, buffer: &mut [u8]) -> std::io::Result<usize> {
+        if self.stop.load(Ordering::Relaxed) {
+            return Err(std::io::Error::other("asked to stop"));
+        }
         let count = self.file.read(buffer)?;
         (self.piece)(&buffer[..count]);
         Ok(count)
@@ -184,6 +196,7 @@ struct Packing<'a> {
     tar: tar::Builder<BufWriter<tempfile::NamedTempFile>>,
     sums: BTreeMap<PathBuf, Digest>,
     to: &'a Path,
+    stop: &'a AtomicBool,
 }
 
 impl Packing<'_> {
@@ -231,8 +244,10 @@ impl Packing<'_> {
     fn stream(&mut self, place: &Path, path: &Path, size: u64, is_program: bool) -> Result<Digest, HistoryError> {
         let file = File::open(path).map_err(HistoryError::io("read", path))?;
         let (found, _, added) = Digest::of_pieces(|piece| {
-            self.tar.append_data(&mut header(size, is_program), place, Hashed { file: file.take(size), piece })
+            let file = Hashed { file: file.take(size), piece, stop: self.stop };
+            self.tar.append_data(&mut header(size, is_program), place, file)
         });
+        self.go_on()?;
         added.map_err(HistoryError::io("copy into the archive", path))?;
         self.sums.insert(place.to_owned(), found);
         Ok(found)
@@ -260,8 +275,13 @@ impl Packing<'_> {
         Ok(())
     }
 
+    fn go_on(&self) -> Result<(), HistoryError> {
+        if self.stop.load(Ordering::Relaxed) { Err(HistoryError::Interrupted) } else { Ok(()) }
+    }
+
     /// Whether nothing is in a place yet. The same file may be; another one is an error.
     fn is_free(&self, place: &Path, path: &Path, digest: Digest) -> Result<bool, HistoryError> {
+        self.go_on()?;
         match self.sums.get(place) {
             None => Ok(true),
             Some(packed) if *packed == digest => Ok(false),

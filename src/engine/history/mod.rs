@@ -107,6 +107,9 @@ pub enum HistoryError {
         /// Why not.
         why: String,
     },
+    /// The user asked to stop.
+    #[error("interrupted; nothing was written")]
+    Interrupted,
     /// The store cannot be read.
     #[error(transparent)]
     Store(#[from] rockface_cache::StoreError),
