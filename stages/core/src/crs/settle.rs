@@ -214,6 +214,9 @@ const FARTHEST_M: [(&str, f64); 5] = [
     ("swissobliquecylindrical", 1.5e6),
     ("lambertconformalconic", 6e6),
 ];
+/// Farther to the east or west than the edge of a zone, metres: easting and northing are swapped where the other way round both are within a
+/// quarter of what they are from the false origin.
+const SWAPPED_M: f64 = 3.5e5;
 /// Farthest to the north or south, metres: more than the quarter of a meridian.
 const QUARTER_M: f64 = 1.1e7;
 /// A false easting that degrees are not mistaken for.
@@ -234,7 +237,11 @@ fn far_off(path: &str, stated: &Stated, [x, y, _]: [f64; 3]) -> Option<String> {
     }
     let projection = super::signature::projection(plane)?;
     let (_, farthest_m) = FARTHEST_M.iter().find(|(known, _)| projection == *known)?;
-    let far = x_m.abs() > *farthest_m || y_m.abs() > QUARTER_M;
+    let other_way_round = [y * metres - false_x, x * metres - false_y];
+    let is_swapped = x_m.abs() > SWAPPED_M
+        && other_way_round[0].abs() < 0.25 * x_m.abs()
+        && other_way_round[1].abs() < 0.25 * y_m.abs();
+    let far = is_swapped || x_m.abs() > *farthest_m || y_m.abs() > QUARTER_M;
     far.then(|| {
         format!(
             "`{path}` has coordinates such as {x:.0}, {y:.0}, which lie {:.0} km to the east and {:.0} km to the north of the false origin of {name}: are easting \

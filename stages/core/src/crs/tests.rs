@@ -501,6 +501,10 @@ fn numbers_that_cannot_be_of_a_system_are_warned_of() {
     let polar = warned(3031, -2_600_000.0, 1_900_000.0);
     assert!(polar.len() == 1 && polar[0].contains("times those on the ellipsoid"), "{polar:?}");
     assert!(warned(25832, 5_334_000.0, 691_000.0)[0].contains("swapped"));
+    assert!(warned(2056, 1_187_670.0, 2_612_370.0)[0].contains("swapped"));
+    assert!(warned(21781, 187_670.0, 612_370.0)[0].contains("swapped"));
+    assert_eq!(warned(2056, 2_834_000.0, 1_170_000.0), Vec::<String>::new());
+    assert_eq!(warned(32648, 167_000.0, 500_000.0), Vec::<String>::new());
     assert!(warned(2056, 691_000.0, 5_334_000.0)[0].contains("EPSG:2056"));
     assert!(warned(25832, 11.5, 48.1)[0].contains("degrees"));
     // A system of WKT 2 has parameters of other names, and units of their own.
