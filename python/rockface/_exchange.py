@@ -196,7 +196,7 @@ def _written_meshes(meshes: Meshes) -> bytes:
 def _written_cloud(cloud: Cloud) -> bytes:
     points = _floats("points", cloud.points, 3, "<f8")
     count = len(points)
-    lists: dict[str, Any] = {"normals": cloud.normals, "colours": cloud.colours, **cloud.numbers}
+    lists: dict[str, Any] = {"normals": cloud.normals, "colours": cloud.colours, **cloud.numbers, **cloud.values}
     for name, values in lists.items():
         if name not in ("normals", "colours"):
             _check_number_name(name)
@@ -204,7 +204,10 @@ def _written_cloud(cloud: Cloud) -> bytes:
             raise WrongOutputError(f"`{name}` has {len(values)} values for {count} points")
     colours = _whole("colours", cloud.colours, 0, 255).astype("u1")
     numbers = {name: _whole(name, values, 0, 2**32 - 1).astype("<u4") for name, values in cloud.numbers.items()}
-    return ply.write_cloud(Cloud(cloud.frame, points, cloud.normals, colours, numbers, cloud.georeference))
+    if twice := sorted(numbers.keys() & cloud.values.keys()):
+        raise WrongOutputError(f"both a number and a value are called `{twice[0]}`")
+    values = {name: np.asarray(values, "<f4") for name, values in cloud.values.items()}
+    return ply.write_cloud(Cloud(cloud.frame, points, cloud.normals, colours, numbers, cloud.georeference, values))
 
 
 def _check_number_name(name: str) -> None:

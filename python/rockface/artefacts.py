@@ -475,7 +475,7 @@ class Meshes(Placed):
 
 @dataclass(frozen=True, eq=False)
 class Cloud(Placed):
-    """Points with normals, colours and whole numbers."""
+    """Points with normals, colours, whole numbers and measured values."""
 
     frame: Frame
     points: NDArray[np.float64]
@@ -488,6 +488,8 @@ class Cloud(Placed):
     """Whole numbers of each point by name, such as `label`."""
     georeference: Georeference | None = None
     """Where its frame lies on the Earth, as far as it is known."""
+    values: dict[str, NDArray[np.float32]] = field(default_factory=dict)
+    """Measured values of each point by name, such as `difference`; NaN where there is none."""
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> Array:
         return np.array(self.points, dtype=dtype) if copy else np.asarray(self.points, dtype=dtype)

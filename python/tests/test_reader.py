@@ -132,6 +132,11 @@ def test_what_is_written_is_read_back_by_the_program(small, tmp_path):
     cloud = small["cloud"][0]
     (tmp_path / "cloud.ply").write_bytes(ply.write_cloud(cloud))
     np.testing.assert_array_equal(rockface.read(tmp_path / "cloud.ply").points, cloud.points)
+    change = np.linspace(-1, 1, len(cloud.points), dtype=np.float32)
+    valued = rockface.Cloud(cloud.frame, cloud.points, cloud.normals, numbers=cloud.numbers, values={"change": change})
+    (tmp_path / "valued.ply").write_bytes(ply.write_cloud(valued))
+    np.testing.assert_array_equal(rockface.read(tmp_path / "valued.ply").values["change"], change)
+    assert "change" in json.dumps(inspected(tmp_path / "valued.ply"))
 
 
 @pytest.mark.parametrize("output", ["change.raster[sigma_px=0.4]", "left.depth", "face.mesh", "rockfall.pieces"])

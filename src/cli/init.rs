@@ -26,6 +26,8 @@ pub enum Template {
     Benchmark,
     /// Noise over a swept parameter.
     Sweep,
+    /// Scans of a face, week after week: what fell since the scan before, in map coordinates.
+    Monitor,
 }
 
 impl Template {
@@ -39,6 +41,7 @@ impl Template {
             Self::Calibrate => include_str!("templates/calibrate.yaml"),
             Self::Benchmark => include_str!("templates/benchmark.yaml"),
             Self::Sweep => include_str!("templates/sweep.yaml"),
+            Self::Monitor => include_str!("templates/monitor.yaml"),
         }
     }
 }

@@ -61,9 +61,12 @@ def read(data: memoryview) -> Mesh | Meshes | Cloud:
     if "face" in rows and (is_mesh or len(rows["face"])):
         triangles, colours = _triangles(rows["face"]), _columns(vertices, COLOURS)
         return Mesh(frame, _columns(vertices, ("x", "y", "z")), triangles, colours, _georeference(lines))
-    numbers = {name: vertices[name] for name in vertices.dtype.names or () if vertices.dtype[name] == np.dtype("<u4")}
+    further = [name for name in vertices.dtype.names or () if name not in RESERVED]
+    numbers = {name: vertices[name] for name in further if vertices.dtype[name] == np.dtype("<u4")}
+    is_cloud = any(line.startswith("comment rockface cloud,") for line in lines)
+    values = {name: vertices[name] for name in further if is_cloud and vertices.dtype[name] == np.dtype("<f4")}
     points, normals, colours = (_columns(vertices, names) for names in (("x", "y", "z"), NORMALS, COLOURS))
-    return Cloud(frame, points, normals, colours, numbers, _georeference(lines))
+    return Cloud(frame, points, normals, colours, numbers, _georeference(lines), values)
 
 
 def _elements(lines: list[str]) -> list[_Element]:
@@ -162,7 +165,7 @@ def write_mesh(mesh: Mesh) -> bytes:
 
 
 def write_cloud(cloud: Cloud) -> bytes:
-    """The file of a cloud: double points, float normals and colours where there are any, its numbers."""
+    """The file of a cloud: double points, float normals and colours where there are any, its numbers and its values."""
     fields: list[Any] = [("xyz", "<f8", (3,))]
     header = ["ply", "format binary_little_endian 1.0", f"comment rockface cloud, frame {cloud.frame}, units metres"]
     header += [*georeference_lines(cloud), f"element vertex {len(cloud.points)}", *(f"property double {axis}" for axis in "xyz")]
@@ -173,7 +176,9 @@ def write_cloud(cloud: Cloud) -> bytes:
         fields.append(("rgb", "u1", (3,)))
         header += [f"property uchar {colour}" for colour in COLOURS]
     fields += [(f"number {name}", "<u4") for name in sorted(cloud.numbers)]
-    header += [*(f"property uint {name}" for name in sorted(cloud.numbers)), "end_header\n"]
+    fields += [(f"value {name}", "<f4") for name in sorted(cloud.values)]
+    header += [f"property uint {name}" for name in sorted(cloud.numbers)]
+    header += [*(f"property float {name}" for name in sorted(cloud.values)), "end_header\n"]
     rows = np.zeros(len(cloud.points), np.dtype(fields))
     rows["xyz"] = cloud.points
     if len(cloud.normals):
@@ -182,4 +187,6 @@ def write_cloud(cloud: Cloud) -> bytes:
         rows["rgb"] = cloud.colours
     for name, values in cloud.numbers.items():
         rows[f"number {name}"] = values
+    for name, values in cloud.values.items():
+        rows[f"value {name}"] = values
     return "\n".join(header).encode("ascii") + rows.tobytes()

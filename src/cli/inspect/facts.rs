@@ -175,6 +175,8 @@ fn of_cloud(cloud: &Cloud) -> Facts {
     }
     let numbers = cloud.numbers.iter();
     facts.extend(numbers.map(|(name, values)| (name.clone(), range(values.iter().copied().map(f64::from)))));
+    let values = cloud.values.iter();
+    facts.extend(values.map(|(name, values)| (name.clone(), range(values.iter().copied().map(f64::from)))));
     facts
 }
 

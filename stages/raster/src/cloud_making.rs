@@ -10,8 +10,14 @@ use rockface_core::artefact::{Cloud, Raster};
 ///
 /// `id` is the place of a point: the number of a vertex, `row x width + column` in a surface, the position in a cloud; a
 /// cloud's own `id` stays. With `labels` `label` is the value of its cell under the point, before it is moved, 0 beside the
-/// raster or where it has none. Normals are the sums of the triangles' about a point by area; those of a cloud are its own.
-pub fn cloud_of(shape: Shape, step: usize, labels: Option<&Raster>, change: &FrameChange) -> Cloud {
+/// raster or where it has none; with `measured` the value of its cell goes by the raster's quantity, NaN where there is none. Normals are the sums of the triangles' about a point by area; those of a cloud are its own.
+pub fn cloud_of(
+    shape: Shape,
+    step: usize,
+    labels: Option<&Raster>,
+    measured: Option<&Raster>,
+    change: &FrameChange,
+) -> Cloud {
     let places: Vec<usize> =
         taken(shape, step).into_iter().filter(|at| shape.point(*at, None)[0].is_finite()).collect();
     let turned =
@@ -31,10 +37,18 @@ pub fn cloud_of(shape: Shape, step: usize, labels: Option<&Raster>, change: &Fra
         for (name, values) in &own.numbers {
             cloud.numbers.insert(name.clone(), places.iter().map(|at| values[*at]).collect());
         }
+        for (name, values) in &own.values {
+            cloud.values.insert(name.clone(), places.iter().map(|at| values[*at]).collect());
+        }
     }
+    let under = |raster: &Raster, at: &usize| value_under(raster, shape.point(*at, None));
     if let Some(raster) = labels {
-        let label = |at: &usize| label(raster, shape.point(*at, None));
+        let label = |at: &usize| under(raster, at).filter(|value| *value > 0.0).map_or(0, |value| value as u32);
         cloud.numbers.insert("label".to_owned(), places.iter().map(label).collect());
+    }
+    if let Some(raster) = measured {
+        let values = places.iter().map(|at| under(raster, at).unwrap_or(f32::NAN)).collect();
+        cloud.values.insert(name_of(raster), values);
     }
     cloud
 }
@@ -86,19 +100,29 @@ fn normals(shape: Shape) -> Vec<[f32; 3]> {
     sums
 }
 
-fn label(raster: &Raster, [x, y, _]: [f64; 3]) -> u32 {
+/// The quantity of a raster as the name of a property: lower-case letters, digits and `_`, and none of its own meaning.
+fn name_of(raster: &Raster) -> String {
+    let plain = |c: char| if c.is_ascii_alphanumeric() { c.to_ascii_lowercase() } else { '_' };
+    let name: String = raster.quantity.chars().map(plain).collect();
+    let is_taken =
+        ["x", "y", "z", "nx", "ny", "nz", "red", "green", "blue", "id", "label", ""].contains(&name.as_str());
+    if is_taken { format!("{name}_value") } else { name }
+}
+
+/// The value of the cell that a point is in; `None` beside the raster and where it has none.
+fn value_under(raster: &Raster, [x, y, _]: [f64; 3]) -> Option<f32> {
     let grid = &raster.grid;
     let (column, row) = ((x - grid.left_m) / grid.cell_m, (grid.top_m - y) / grid.cell_m);
     let inside = column >= 0.0 && row >= 0.0 && column < grid.columns as f64 && row < grid.rows as f64;
     let value = inside.then(|| raster.bands[0].values[row as usize * grid.columns + column as usize]);
-    value.filter(|value| value.is_finite() && *value > 0.0).map_or(0, |value| value as u32)
+    value.filter(|value| value.is_finite())
 }
 
 #[cfg(test)]
 #[allow(clippy::float_cmp)] // to the bit
 mod tests {
     use super::*;
-    use crate::frame_change::change;
+    use crate::frame_change;
     use rockface_core::artefact::{Frame, Grid, Transform};
     use rockface_core::testing::height_mesh;
 
@@ -107,23 +131,27 @@ mod tests {
         let mesh = height_mesh(4, [0.0, 4.0, 0.0, 4.0], |x, _| x);
         let grid = Grid { columns: 2, rows: 4, cell_m: 1.0, left_m: 2.5, top_m: 4.0 };
         let labels = Raster::single(grid, Frame::Wall, "labels", "labels", vec![7.0; 8]);
+        let change = Raster { quantity: "difference".into(), ..labels.clone() };
         let quarter = nalgebra::Matrix3::new(0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0);
         let (origin, none) = (Vector3::new(1e6, 0.0, 0.0), Vector3::zeros());
         let wall_from_world = Transform::new("world", "wall", &quarter, origin, none);
-        let back = change(Frame::Wall, Some(&wall_from_world)).unwrap();
-        let cloud = cloud_of(Shape::Mesh(&mesh), 3, Some(&labels), &back);
+        let back = frame_change::change(Frame::Wall, Some(&wall_from_world)).unwrap();
+        let cloud = cloud_of(Shape::Mesh(&mesh), 3, Some(&labels), Some(&change), &back);
         assert_eq!((cloud.frame, cloud.points.len()), (Frame::World, 9));
         assert_eq!(cloud.numbers["id"], [0, 3, 6, 9, 12, 15, 18, 21, 24]);
         // Vertex 3 is (3, 0, 3) on the wall: (y, -x, z) there is (x - 1e6, y, z) of the world.
         assert_eq!(cloud.points[1], [1e6, -3.0, 3.0]);
         assert_eq!(cloud.numbers["label"], [0, 0, 0, 7, 0, 0, 7, 0, 7]);
+        let values = cloud.values["difference"].iter().map(|value| if value.is_nan() { 0.0 } else { *value });
+        assert_eq!(values.collect::<Vec<_>>(), [0.0, 0.0, 0.0, 7.0, 0.0, 0.0, 7.0, 0.0, 7.0]);
+        assert!(cloud.values["difference"][0].is_nan());
         let slope = 0.5f32.sqrt();
         for normal in &cloud.normals {
             assert!(
                 (normal[0] - 0.0).abs() < 1e-6 && (normal[1] - slope).abs() < 1e-6 && (normal[2] - slope).abs() < 1e-6
             );
         }
-        let again = cloud_of(Shape::Cloud(&cloud), 2, None, &change(Frame::World, None).unwrap());
+        let again = cloud_of(Shape::Cloud(&cloud), 2, None, None, &frame_change::change(Frame::World, None).unwrap());
         assert_eq!((again.numbers["id"].as_slice(), again.normals.len()), (&[0, 6, 12, 18, 24][..], 5));
     }
 }

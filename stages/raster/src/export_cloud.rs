@@ -21,7 +21,7 @@ pub struct ExportCloud;
 impl Stage for ExportCloud {
     type Params = ExportCloudParams;
     const NAME: &'static str = "export-cloud";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PAGE: Page = Page::new(include_str!("export_cloud.md"));
     const INPUTS: &'static [Port] = &[
         Port::one(
@@ -39,6 +39,11 @@ impl Stage for ExportCloud {
             &[Kind::Raster],
             "Numbers by place, such as those of the pieces lost, from `remove-blocks`.",
         ),
+        Port::optional(
+            "values",
+            &[Kind::Raster],
+            "Measured values by place, such as a difference: each point gets that of its cell.",
+        ),
     ];
     const OUTPUTS: &'static [Port] = &[Port::one("cloud", &[Kind::Cloud], "The points, with what is known of each.")];
 
@@ -48,7 +53,7 @@ impl Stage for ExportCloud {
             Artefact::Raster(raster) if raster.quantity == "difference" => {
                 let message = "the quantity of the raster is `difference`, and points are made of elevations";
                 return Err(StageError::new(message)
-                    .hint("hand over the DEM; `quantity: elevation` of `import-rasters` says that a file is one"));
+                    .hint("hand over the DEM, and the difference as `values`; `quantity: elevation` of `import-rasters` says that a file is one"));
             }
             Artefact::Raster(raster) => Some(raster_surface::between_cells(raster).map_err(|e| e.within("`points`"))?),
             _ => None,
@@ -58,12 +63,23 @@ impl Stage for ExportCloud {
             shape.ok_or_else(|| StageError::new("port `points` needs a surface, a mesh, a raster or a cloud"))?;
         let vertices = shape::surface_vertices(artefact);
         let shape = shape.on_surface(vertices.as_deref());
-        let labels = inputs.optional::<Raster>("labels")?;
-        if let Some(labels) = labels.filter(|labels| labels.frame != shape.frame()) {
-            fail!("`labels` are in the {} frame, the points in the {} frame", labels.frame, shape.frame());
+        let [labels, values] = [inputs.optional::<Raster>("labels")?, inputs.optional::<Raster>("values")?];
+        for (port, raster) in [("labels", labels), ("values", values)] {
+            let Some(raster) = raster else { continue };
+            if raster.frame != shape.frame() {
+                fail!("`{port}` are in the {} frame, the points in the {} frame", raster.frame, shape.frame());
+            }
+            if raster.bands.len() != 1 {
+                fail!("`{port}` has {} bands, and one is needed: `crop-raster` takes one out", raster.bands.len());
+            }
+        }
+        let is_label = |value: &f32| value.is_nan() || (*value >= 0.0 && value.fract() == 0.0);
+        if let Some(value) = labels.and_then(|labels| labels.bands[0].values.iter().find(|value| !is_label(value))) {
+            let message = format!("`labels` has the value {value}, and labels are whole numbers from 0 on");
+            return Err(StageError::new(message).hint("hand over what was measured as `values`"));
         }
         let change = frame_change::change(shape.frame(), inputs.optional::<Transform>("transform")?)?;
-        let cloud = cloud_of(shape, params.step as usize, labels, &change);
+        let cloud = cloud_of(shape, params.step as usize, labels, values, &change);
         if cloud.points.is_empty() {
             fail!("there is no point to export");
         }
@@ -77,7 +93,7 @@ impl Stage for ExportCloud {
 #[allow(clippy::float_cmp)] // to the bit
 mod tests {
     use super::*;
-    use rockface_core::artefact::{Cloud, Frame, Grid, Mesh};
+    use rockface_core::artefact::{Band, Cloud, Frame, Grid, Mesh};
     use rockface_core::testing::{TestHost, run_stage};
     use serde_json::json;
 
@@ -120,6 +136,9 @@ mod tests {
         assert!(message(&[("points", change.into())]).contains("is `difference`"));
         let world = Raster { frame: Frame::World, ..raster(1) };
         assert!(message(&[("points", raster(1).into()), ("labels", world.into())]).contains("world frame"));
+        let halves = Raster { bands: vec![Band { values: vec![0.5; 6], ..raster(1).bands[0].clone() }], ..raster(1) };
+        assert!(message(&[("points", raster(1).into()), ("labels", halves.into())]).contains("has the value 0.5"));
+        assert!(message(&[("points", raster(1).into()), ("values", raster(2).into())]).contains("2 bands"));
         let away = Transform::identity("world", "world");
         assert!(message(&[("points", raster(1).into()), ("transform", away.into())]).contains("takes world to world"));
         assert!(message(&[("points", Cloud::new(Frame::Wall, Vec::new()).into())]).contains("no point"));

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use super::Frame;
 
-/// Points without triangles, with normals, colours and numbers where they are known.
+/// Points without triangles, with normals, colours, numbers and values where they are known.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Cloud {
     /// The frame of points and normals.
@@ -17,11 +17,20 @@ pub struct Cloud {
     pub colours: Vec<[u8; 3]>,
     /// Further whole numbers of each point by name: `id`, `label`, `views`.
     pub numbers: BTreeMap<String, Vec<u32>>,
+    /// Further measured values of each point by name, NaN where there is none: `difference`.
+    pub values: BTreeMap<String, Vec<f32>>,
 }
 
 impl Cloud {
     /// Points of which nothing else is known.
     pub fn new(frame: Frame, points: Vec<[f64; 3]>) -> Self {
-        Self { frame, points, normals: Vec::new(), colours: Vec::new(), numbers: BTreeMap::new() }
+        Self {
+            frame,
+            points,
+            normals: Vec::new(),
+            colours: Vec::new(),
+            numbers: BTreeMap::new(),
+            values: BTreeMap::new(),
+        }
     }
 }

@@ -111,7 +111,8 @@ fn header(cloud: &Cloud) -> Builder {
 fn entries(cloud: &Cloud) -> Vec<u8> {
     let normals = NORMAL.iter().filter(|_| !cloud.normals.is_empty()).map(|name| (*name, FLOAT_32));
     let numbers = cloud.numbers.keys().map(|name| (name.as_str(), UNSIGNED_32));
-    normals.chain(numbers).flat_map(|(name, kind)| entry(name, kind)).collect()
+    let values = cloud.values.keys().map(|name| (name.as_str(), FLOAT_32));
+    normals.chain(numbers).chain(values).flat_map(|(name, kind)| entry(name, kind)).collect()
 }
 
 /// Reserved (2), type, options, name (32), and further fields that are not used.
@@ -140,6 +141,7 @@ fn encode(cloud: &Cloud, place: usize, transforms: &Vector<Transform>, bytes: &m
     colour.for_each(|value| put(&(u16::from(*value) * 257).to_le_bytes()));
     cloud.normals.get(place).into_iter().flatten().for_each(|value| put(&value.to_le_bytes()));
     cloud.numbers.values().for_each(|values| put(&values[place].to_le_bytes()));
+    cloud.values.values().for_each(|values| put(&values[place].to_le_bytes()));
     Ok(())
 }
 

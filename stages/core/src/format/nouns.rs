@@ -18,7 +18,7 @@ impl Noun for Cloud {
     }
     fn memory_bytes(&self) -> usize {
         let point = 24 + 12 * usize::from(!self.normals.is_empty()) + 3 * usize::from(!self.colours.is_empty());
-        self.points.len() * (point + 4 * self.numbers.len())
+        self.points.len() * (point + 4 * (self.numbers.len() + self.values.len()))
     }
     fn has_exports() -> bool {
         true

@@ -11,8 +11,8 @@ use super::normals::{Neighbourhood, Normals};
 
 mod noise;
 
-/// Automatic search distance, in point spacings of the target.
-const AUTOMATIC_SPACINGS: f64 = 20.0;
+/// Automatic search distance, in point spacings of the target; no errors of two surveys in one datum are larger.
+pub const AUTOMATIC_SPACINGS: f64 = 20.0;
 /// Pairs needed to solve for six unknowns with any confidence.
 const LEAST_PAIRS: usize = 50;
 /// Share of the points that must find a partner.
@@ -82,6 +82,10 @@ pub struct Registration {
     pub transform: Transform,
     /// Root mean square residual of the pairs kept, metres.
     pub rms_m: f64,
+    /// Root mean square motion of the points used, metres.
+    pub moved_m: f64,
+    /// Mean distance of neighbouring points of the target, metres.
+    pub spacing_m: f64,
     /// Number of pairs kept in the last iteration.
     pub pairs: usize,
     /// Number of iterations made, of all passes.
@@ -117,9 +121,17 @@ pub fn register(source: &Surface, target: &Surface, settings: &Settings) -> Resu
     let fit = Fit { source, centroid, target, normals, finer: None, columns, radius_m, search_m, settings: *settings };
     // Relative to the target's origin, so that UTM coordinates keep their precision.
     let start = Pose { rotation: Matrix3::identity(), translation: origin - Vector3::from(target.origin_m) };
+    let spacing_m = fit.columns.spacing_m();
     fit.solve_in_passes(&arms, start).map(|(pose, outcome)| {
+        let shift = pose.translation - start.translation;
+        let squares = arms.iter().map(|arm| (pose.rotation * arm - arm + shift).norm_squared()).sum::<f64>();
         let translation = pose.translation + Vector3::from(target.origin_m);
-        Registration { transform: Transform::new("source", "target", &pose.rotation, origin, translation), ..outcome }
+        Registration {
+            transform: Transform::new("source", "target", &pose.rotation, origin, translation),
+            moved_m: (squares / arms.len() as f64).sqrt(),
+            spacing_m,
+            ..outcome
+        }
     })
 }
 
@@ -429,12 +441,19 @@ impl System {
         let unit = |k: usize| if k < 3 { radius_m } else { 1.0 };
         let sd = std::array::from_fn(|k| (variance * cofactors[(k, k)]).sqrt() / unit(k));
         let rms_m = (self.squares / self.pairs.max(1) as f64).sqrt();
-        let transform = Transform::identity("source", "target");
-        let pairs = self.pairs;
-        (
-            step,
-            Registration { transform, rms_m, pairs, iterations: 0, converged: false, sd, unobservable, left_alone_m },
-        )
+        let outcome = Registration {
+            transform: Transform::identity("source", "target"),
+            rms_m,
+            moved_m: 0.0,
+            spacing_m: 0.0,
+            pairs: self.pairs,
+            iterations: 0,
+            converged: false,
+            sd,
+            unobservable,
+            left_alone_m,
+        };
+        (step, outcome)
     }
 }
 

@@ -157,6 +157,14 @@ fn report(registration: &Registration, context: &Context) {
             context.metric(&format!("rotation_{axis}_sd"), registration.sd[k].to_degrees(), "deg");
         }
     }
+    context.metric("moved", registration.moved_m, "m");
+    let spacings = registration.moved_m / registration.spacing_m;
+    if spacings > icp::AUTOMATIC_SPACINGS {
+        context.warn(format!(
+            "the source moved by {:.3} m, {spacings:.0} point spacings of the target: errors of two surveys in one datum are smaller; check their coordinates",
+            registration.moved_m
+        ));
+    }
     if !registration.converged {
         let n = registration.iterations;
         context.warn(format!("still moving after {n} iterations; the last step is kept (raise `max_iterations`)"));
@@ -272,6 +280,18 @@ mod tests {
         assert!(!between(json!({}), Frame::World));
         assert!(!between(json!({"pairing": "space"}), Frame::Wall));
         assert!(!between(json!({"method": "point_to_point", "pairing": "plan"}), Frame::Wall));
+    }
+
+    #[test]
+    fn a_motion_that_no_error_in_one_datum_explains_is_warned_of() {
+        let warnings = |height: f32| {
+            let host = TestHost::default();
+            let inputs = [("source", Artefact::from(flat(height))), ("target", Artefact::from(flat(0.0)))];
+            let params = json!({"max_distance_m": 40});
+            rockface_core::testing::run_stage::<RegisterIcp>(&host, &params, &inputs).unwrap();
+            host.warnings().into_iter().filter(|text| text.contains("errors of two surveys")).count()
+        };
+        assert_eq!([19.0, 25.0].map(warnings), [0, 1]);
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! `import-inventory`: reads a rockfall inventory from a GeoJSON file, our own or of another program.
 
-use crate::rockfall::inventory_foreign;
-use rockface_core::artefact::{Frame, Inventory, Kind, Noun};
+use crate::rockfall::inventory_foreign::{self, Foreign};
+use rockface_core::artefact::{Cell, CodecError, Frame, Inventory, Kind, Noun};
 use rockface_core::crs::{CrsName, Stated, Tool, settle, wall_without_system};
 use rockface_core::params::{Fault, FileRef};
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, params};
@@ -21,7 +21,7 @@ choice! {
 params! {
     /// Parameters of `import-inventory`.
     pub struct ImportInventoryParams {
-        /// A GeoJSON file: a feature collection of polygons, multipolygons or features without geometry.
+        /// A GeoJSON file: a feature collection of polygons, multipolygons, points or features without geometry.
         path: FileRef,
         /// The frame of the outlines.
         frame: InventoryFrame = InventoryFrame::Automatic,
@@ -36,7 +36,7 @@ pub struct ImportInventory;
 impl Stage for ImportInventory {
     type Params = ImportInventoryParams;
     const NAME: &'static str = "import-inventory";
-    const VERSION: u32 = 5;
+    const VERSION: u32 = 6;
     const PAGE: Page = Page::new(include_str!("import_inventory.md"));
     const INPUTS: &'static [Port] = &[];
     const OUTPUTS: &'static [Port] = &[Port::one("inventory", &[Kind::Inventory], "The rockfalls.")];
@@ -48,20 +48,21 @@ impl Stage for ImportInventory {
 
     fn run(params: &Self::Params, _inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
         let bytes = context.read(&params.path)?;
-        let named = |e: rockface_core::artefact::CodecError| StageError::new(format!("`{}`: {e}", params.path.0));
+        let named = |e: CodecError| StageError::new(format!("`{}`: {e}", params.path.0));
         let own = Inventory::decode(&bytes).ok();
         let added = own.as_ref().map_or_else(Vec::new, |own| inventory_foreign::unlisted(&bytes, &own.columns));
         if !added.is_empty() {
             context.note(format!("columns that its member `rockface` does not list: {}", added.join(", ")));
         }
-        let (mut inventory, stated) = if let Some(own) = own.filter(|_| added.is_empty()) {
+        let (mut read, stated) = if let Some(own) = own.filter(|_| added.is_empty()) {
             let stated = own.frame.crs().map(Stated::of_crs);
-            (own, stated)
+            (Foreign { inventory: own, points: Vec::new() }, stated)
         } else {
             let read = inventory_foreign::read(&bytes).map_err(named)?;
             let stated = inventory_foreign::stated(&bytes, &read, params.crs.is_some());
             (read, stated)
         };
+        let inventory = &mut read.inventory;
         let is_wall = match params.frame {
             InventoryFrame::Automatic if inventory.frame == Frame::Wall && params.crs.is_some() => {
                 return Err(StageError::new(format!(
@@ -75,32 +76,57 @@ impl Stage for ImportInventory {
             InventoryFrame::World => false,
         };
         if !is_wall {
-            bring_to_metres(&mut inventory, stated, params, context)?;
+            bring_to_metres(&mut read, stated, params, context)?;
         } else if inventory.frame != Frame::Wall {
             inventory.frame = Frame::Wall;
         }
+        let inventory = with_points(read).map_err(named)?;
         let (count, columns) = (inventory.features.len(), inventory.columns.len());
         context.headline(format!("{count} rockfalls with {columns} properties, {} frame", inventory.frame));
         Ok(Outputs::of("inventory", inventory))
     }
 }
 
+/// Columns of the features that are points: where they are, metres.
+const POINT_COLUMNS: [&str; 3] = ["x_m", "y_m", "z_m"];
+
+/// The inventory with the places of the features that are points as columns.
+fn with_points(Foreign { mut inventory, points }: Foreign) -> Result<Inventory, CodecError> {
+    let are_known = |axis: usize| points.iter().flatten().any(|point| !point[axis].is_nan());
+    for axis in (0..3).filter(|axis| are_known(*axis)) {
+        let name = POINT_COLUMNS[axis];
+        if inventory.columns.iter().any(|column| column == name) {
+            return Err(CodecError(format!(
+                "it has points, whose places become the column `{name}`, but also a property of that name: rename that"
+            )));
+        }
+        inventory.columns.push(name.to_owned());
+        for (feature, point) in inventory.features.iter_mut().zip(&points) {
+            let value = point.map(|point| point[axis]).filter(|value| !value.is_nan());
+            feature.values.push(value.map_or(Cell::Empty(()), Cell::from));
+        }
+    }
+    Ok(inventory)
+}
+
 fn bring_to_metres(
-    inventory: &mut Inventory,
+    Foreign { inventory, points }: &mut Foreign,
     stated: Option<Stated>,
     params: &ImportInventoryParams,
     context: &Context,
 ) -> Result<(), StageError> {
     let mut polygons = inventory.features.iter().flat_map(|feature| &feature.outline);
     let first = polygons.find_map(|polygon| polygon.exterior.first()).map(|[x, y]| [*x, *y, 0.0]);
+    let first = first.or_else(|| points.iter().flatten().next().map(|[x, y, _]| [*x, *y, 0.0]));
     let settled = settle(&params.path.0, [stated, None], params.crs.as_ref(), (Tool::Ogr, first), context);
-    let without_crs = "a GeoJSON without member `crs` is in degrees (RFC 7946)";
-    let settled = settled.map_err(|error| StageError {
-        hint: error.hint.map(|hint| {
-            let metres = "say `crs: EPSG:...` if its numbers are metres in that system, `frame: wall` if they are metres on the wall";
-            if error.message.contains(inventory_foreign::UNSTATED) { format!("{without_crs}: {metres}; else {hint}") } else { hint }
-        }),
-        ..error
+    let settled = settled.map_err(|error| {
+        if !error.message.contains(inventory_foreign::UNSTATED) {
+            return error;
+        }
+        let path = &params.path.0;
+        let message = format!("`{path}` states no coordinate reference system, and a GeoJSON without one is in degrees (RFC 7946)");
+        let metres = "say `frame: wall` if its numbers are metres on the wall, as those of detections are, or `crs: EPSG:...` if they are metres in that system";
+        StageError::new(message).hint(error.hint.map_or(metres.to_owned(), |hint| format!("{metres}; else {hint}")))
     })?;
     if !settled.keeps_coordinates() {
         let polygons = inventory.features.iter_mut().flat_map(|feature| &mut feature.outline);
@@ -108,6 +134,9 @@ fn bring_to_metres(
         for point in rings.flatten() {
             let [x, y, _] = settled.point([point[0], point[1], 0.0]);
             *point = [x, y];
+        }
+        for point in points.iter_mut().flatten() {
+            *point = settled.point(*point);
         }
         context.warn("numbers among the properties stay as they are: say in their names which unit they are in");
     }
@@ -120,7 +149,7 @@ mod tests {
     use serde_json::json;
 
     use super::*;
-    use rockface_core::artefact::{Artefact, Cell, Feature, Georeference, Polygon, Transform};
+    use rockface_core::artefact::{Artefact, Feature, Georeference, Polygon, Transform};
     use rockface_core::testing::{TestHost, run_stage};
 
     fn imported(text: &str, with: &serde_json::Value) -> Result<Inventory, StageError> {
@@ -201,6 +230,28 @@ mod tests {
         let read = imported(&saved, &path).unwrap();
         assert_eq!((read.frame, read.columns), (Frame::Wall, found.columns));
         assert_eq!(imported(&saved, &json!({"path": "a.geojson", "frame": "world"})).unwrap().frame, Frame::World);
+    }
+
+    #[test]
+    fn points_become_columns_in_metres() {
+        let text = r#"{"type": "FeatureCollection", "features": [
+            {"properties": {"m3": 2}, "geometry": {"type": "Point", "coordinates": [1000, 2000, 30]}},
+            {"properties": {"m3": 3}, "geometry": {"type": "MultiPoint", "coordinates": [[1100, 2100]]}},
+            {"properties": {"m3": 4}, "geometry": null}]}"#;
+        let found = imported(text, &json!({"path": "a.geojson", "frame": "wall"})).unwrap();
+        assert_eq!(found.columns, ["m3", "x_m", "y_m", "z_m"]);
+        assert_eq!(found.numbers("x_m").unwrap(), [Some(1000.0), Some(1100.0), None]);
+        assert_eq!(found.numbers("z_m").unwrap(), [Some(30.0), None, None]);
+        assert!(found.features.iter().all(|feature| feature.outline.is_empty()));
+        let feet = imported(text, &json!({"path": "a.geojson", "crs": "EPSG:2229"})).unwrap();
+        assert!((feet.numbers("y_m").unwrap()[0].unwrap() - 2000.0 * 1200.0 / 3937.0).abs() < 1e-6);
+        let taken = text.replace("m3", "x_m");
+        let error = imported(&taken, &json!({"path": "a.geojson", "frame": "wall"})).unwrap_err();
+        assert!(error.message.contains("a property of that name"), "{error}");
+        let degrees = text.replace("000", "0").replace("100", "9");
+        let error = imported(&degrees, &json!({"path": "a.geojson"})).unwrap_err();
+        assert!(error.message.contains("states no coordinate reference system"), "{error}");
+        assert!(error.hint.unwrap().starts_with("say `frame: wall`"));
     }
 
     #[test]

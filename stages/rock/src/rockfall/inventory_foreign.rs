@@ -12,13 +12,35 @@ use rockface_core::format::without_mark;
 use rockface_core::limits;
 use rockface_core::names::twice;
 
+/// What a file of another program holds.
+pub struct Foreign {
+    /// Features and their properties; those that are points have no outline.
+    pub inventory: Inventory,
+    /// X, Y and Z of each feature that is a point, in the units of the file; Z is NaN where it has none.
+    pub points: Vec<Option<[f64; 3]>>,
+}
+
+/// How the formats that an inventory is often in begin, and what each is called.
+const OTHERS: [(&[u8], &str); 5] = [
+    (b"SQLite format 3", "a GeoPackage"),
+    (b"<?xml", "KML or other XML"),
+    (b"<kml", "KML"),
+    (&[0, 0, 0x27, 0x0a], "a shapefile"),
+    (b"PK\x03\x04", "a ZIP file, as KMZ is"),
+];
+
 /// Reads a feature collection. Its member `rockface` states frame and columns; without it the frame is the one that its member `crs` names, as
 /// files of ours do, or world. Properties that are not listed become columns too, behind those that are, in alphabetical order.
 ///
 /// # Errors
 /// Text that is no feature collection; a frame that is not known; the feature (counted from 0) that lacks a column which the
-/// file lists, whose geometry is no polygon, or whose ring is not closed or holds something else than points.
-pub fn read(bytes: &[u8]) -> Result<Inventory, CodecError> {
+/// file lists, whose geometry is neither polygon nor point, or whose ring is not closed or holds something else than points.
+pub fn read(bytes: &[u8]) -> Result<Foreign, CodecError> {
+    if let Some((_, name)) = OTHERS.iter().find(|(start, _)| without_mark(bytes).starts_with(start)) {
+        return Err(CodecError(format!(
+            "it is {name}, and GeoJSON is read: `ogr2ogr -f GeoJSON NEW.geojson FILE`, or \"Export, Save Features As\" in QGIS, makes that of it"
+        )));
+    }
     let file: Value =
         serde_json::from_slice(without_mark(bytes)).map_err(|e| CodecError(format!("not a JSON file: {e}")))?;
     let features = file.get("features").and_then(Value::as_array);
@@ -51,13 +73,18 @@ pub fn read(bytes: &[u8]) -> Result<Inventory, CodecError> {
             )));
         }
         let values = columns.iter().map(|column| cell(properties.remove(column))).collect();
-        let outline = outline(feature.get("geometry").unwrap_or(&Value::Null))
+        let place = place(feature.get("geometry").unwrap_or(&Value::Null))
             .map_err(|e| CodecError(format!("feature {number} (counted from 0): {e}")))?;
-        Ok(Feature { outline, values })
+        let (outline, point) = match place {
+            Place::Outline(outline) => (outline, None),
+            Place::Point(point) => (Vec::new(), Some(point)),
+        };
+        Ok((Feature { outline, values }, point))
     };
-    let features = features.iter().enumerate().map(read).collect::<Result<_, CodecError>>()?;
+    let read = features.iter().enumerate().map(read).collect::<Result<Vec<_>, CodecError>>()?;
+    let (features, points) = read.into_iter().unzip();
     let frame = about.map_or_else(|| frame_of_crs(&file), |about| about.frame);
-    Ok(Inventory { frame, columns, features })
+    Ok(Foreign { inventory: Inventory { frame, columns, features }, points })
 }
 
 /// The frame of a file without member `rockface`: wall where its member `crs` has the name that we give to it.
@@ -122,7 +149,7 @@ pub const UNSTATED: &str = "WGS 84 without a word";
 
 /// The system of a feature collection: that of its frame or its member `crs`; degrees where it states neither and its numbers
 /// can be such. `overruled`: a parameter says what a file without `crs` is in.
-pub fn stated(bytes: &[u8], inventory: &Inventory, overruled: bool) -> Option<Stated> {
+pub fn stated(bytes: &[u8], Foreign { inventory, points }: &Foreign, overruled: bool) -> Option<Stated> {
     if let Some(crs) = inventory.frame.crs() {
         return Some(Stated::of_crs(crs));
     }
@@ -130,10 +157,10 @@ pub fn stated(bytes: &[u8], inventory: &Inventory, overruled: bool) -> Option<St
     if let Some(name) = file.pointer("/crs/properties/name").and_then(Value::as_str) {
         return Some(named(name));
     }
-    let mut points =
-        inventory.features.iter().flat_map(|feature| &feature.outline).flat_map(|polygon| &polygon.exterior);
-    let may_be_degrees = points.all(|[x, y]| x.abs() <= 180.0 && y.abs() <= 90.0);
-    let has_points = inventory.features.iter().any(|feature| !feature.outline.is_empty());
+    let corners = inventory.features.iter().flat_map(|feature| &feature.outline).flat_map(|polygon| &polygon.exterior);
+    let mut places = corners.copied().chain(points.iter().flatten().map(|[x, y, _]| [*x, *y])).peekable();
+    let has_points = places.peek().is_some();
+    let may_be_degrees = places.all(|[x, y]| x.abs() <= 180.0 && y.abs() <= 90.0);
     let states_frame = file.pointer("/rockface/frame").is_some();
     (may_be_degrees && has_points && !overruled && !states_frame)
         .then(|| Stated { kind: Kind::Geographic, ..Stated::local(UNSTATED, None) })
@@ -172,19 +199,36 @@ fn cell(value: Option<Value>) -> Cell {
     }
 }
 
-fn outline(geometry: &Value) -> Result<Vec<Polygon>, String> {
+enum Place {
+    Outline(Vec<Polygon>),
+    Point([f64; 3]),
+}
+
+fn place(geometry: &Value) -> Result<Place, String> {
     if geometry.is_null() {
-        return Ok(Vec::new());
+        return Ok(Place::Outline(Vec::new()));
     }
     let coordinates = geometry.get("coordinates").and_then(Value::as_array).ok_or("a geometry without coordinates")?;
     match geometry.get("type").and_then(Value::as_str) {
-        Some("Polygon") => Ok(vec![polygon(coordinates)?]),
+        Some("Point") => point(coordinates).map(Place::Point),
+        Some("MultiPoint") => match coordinates.as_slice() {
+            [Value::Array(only)] => point(only).map(Place::Point),
+            several => Err(format!("it has {} points, and a rockfall is at one", several.len())),
+        },
+        Some("Polygon") => Ok(Place::Outline(vec![polygon(coordinates)?])),
         Some("MultiPolygon") => {
             let list = |value: &Value| value.as_array().cloned().ok_or("a polygon that is no list");
-            coordinates.iter().map(|value| polygon(&list(value)?)).collect()
+            coordinates.iter().map(|value| polygon(&list(value)?)).collect::<Result<_, _>>().map(Place::Outline)
         }
-        other => Err(format!("its geometry is a `{}`, not a polygon", other.unwrap_or_default())),
+        other => Err(format!("its geometry is a `{}`, not a polygon or a point", other.unwrap_or_default())),
     }
+}
+
+/// X, Y and Z of a point, Z NaN where it has none.
+fn point(coordinates: &[Value]) -> Result<[f64; 3], String> {
+    let number = |place: usize| coordinates.get(place).and_then(Value::as_f64);
+    let plan = number(0).zip(number(1)).ok_or("a point without two numbers")?;
+    Ok([plan.0, plan.1, number(2).unwrap_or(f64::NAN)])
 }
 
 fn polygon(rings: &[Value]) -> Result<Polygon, String> {
@@ -240,18 +284,28 @@ mod tests {
             let features: Vec<String> = (0..count).map(feature).collect();
             read(format!(r#"{{"features": [{}]}}"#, features.join(",")).as_bytes())
         };
-        let message = made(20_000).unwrap_err().0;
+        let message = made(20_000).err().unwrap().0;
         assert!(message.contains("have 20000 names, 16384 is the most"), "{message}");
-        let message = made(4000).unwrap_err().0;
+        let message = made(4000).err().unwrap().0;
         assert!(message.contains("4000 features have 4000 properties by name, but only 4000 values"), "{message}");
-        assert_eq!(made(1000).unwrap().columns.len(), 1000);
+        assert_eq!(made(1000).unwrap().inventory.columns.len(), 1000);
+    }
+
+    #[test]
+    fn files_of_other_formats_are_named() {
+        for (bytes, name) in [(&b"SQLite format 3\0"[..], "a GeoPackage"), (b"<?xml version=\"1.0\"?><kml>", "KML")] {
+            let message = read(bytes).err().unwrap().0;
+            assert!(message.contains(name) && message.contains("ogr2ogr -f GeoJSON"), "{message}");
+        }
     }
 
     #[test]
     fn an_open_ring_is_refused() {
         let text =
             r#"{"features": [{"geometry": {"type": "Polygon", "coordinates": [[[0, 0], [1, 0], [1, 1], [0, 1]]]}}]}"#;
-        assert!(read(text.as_bytes()).unwrap_err().0.contains("feature 0 (counted from 0): a ring that is not closed"));
+        assert!(
+            read(text.as_bytes()).err().unwrap().0.contains("feature 0 (counted from 0): a ring that is not closed")
+        );
     }
 
     #[test]

@@ -15,7 +15,7 @@ use crate::limits;
 const KNOWN: [&str; 9] = ["x", "y", "z", "nx", "ny", "nz", "red", "green", "blue"];
 
 /// Writes a cloud: binary little-endian, double `x y z`, float `nx ny nz` where normals are known, uchar `red green blue`
-/// where colours are, and a uint for each of the numbers. A comment line states frame and units.
+/// where colours are, a uint for each of the numbers and a float for each of the values. A comment line states frame and units.
 ///
 /// # Errors
 /// A list that is not as long as the points, a coordinate that is not finite, a name that no property can have.
@@ -25,6 +25,7 @@ pub fn write(cloud: &Cloud) -> Result<Vec<u8>, CodecError> {
         normals: !cloud.normals.is_empty(),
         colours: !cloud.colours.is_empty(),
         numbers: cloud.numbers.keys().map(String::as_str).collect(),
+        values: cloud.values.keys().map(String::as_str).collect(),
     };
     let header = header(cloud, &layout);
     let stride = layout.stride();
@@ -54,16 +55,19 @@ struct Layout<'a> {
     normals: bool,
     colours: bool,
     numbers: Vec<&'a str>,
+    values: Vec<&'a str>,
 }
 
 impl<'a> Layout<'a> {
     /// That of an element which has the properties of our own files in their order.
     fn of(element: &'a Element) -> Option<Self> {
-        let numbers = element.properties.iter().map(|property| property.name.as_str());
-        let numbers: Vec<&str> = numbers.filter(|name| !KNOWN.contains(name)).collect();
-        let distinct = numbers.iter().collect::<BTreeSet<_>>().len() == numbers.len();
+        let further = element.properties.iter().filter(|property| !KNOWN.contains(&property.name.as_str()));
+        let (numbers, values): (Vec<_>, Vec<_>) = further.partition(|property| property.kind != Type::F32);
+        let names = |of: Vec<&'a Property>| of.into_iter().map(|property| property.name.as_str()).collect::<Vec<_>>();
+        let (numbers, values) = (names(numbers), names(values));
+        let distinct = numbers.iter().chain(&values).collect::<BTreeSet<_>>().len() == numbers.len() + values.len();
         let has = |name: &str| element.scalar(name).is_some();
-        let layout = Self { normals: has(KNOWN[3]), colours: has(KNOWN[6]), numbers };
+        let layout = Self { normals: has(KNOWN[3]), colours: has(KNOWN[6]), numbers, values };
         let own = layout.properties().map(|(kind, name)| Property { name: name.to_owned(), count: None, kind });
         let is_own = own.eq(element.properties.iter().cloned());
         (is_own && distinct).then_some(layout)
@@ -77,7 +81,8 @@ impl<'a> Layout<'a> {
         ];
         let known = known.into_iter().filter(|(_, _, has)| *has);
         let known = known.flat_map(|(kind, names, _)| names.iter().map(move |name| (kind, *name)));
-        known.chain(self.numbers.iter().map(|name| (Type::U32, *name)))
+        let numbers = self.numbers.iter().map(|name| (Type::U32, *name));
+        known.chain(numbers).chain(self.values.iter().map(|name| (Type::F32, *name)))
     }
 
     /// Bytes of a row.
@@ -85,16 +90,17 @@ impl<'a> Layout<'a> {
         self.properties().map(|(kind, _)| kind.bytes()).sum()
     }
 
-    /// Where normals, colours and the first of the numbers begin in a row.
-    fn starts(&self) -> [usize; 3] {
+    /// Where normals, colours, the first of the numbers and the first of the values begin in a row.
+    fn starts(&self) -> [usize; 4] {
         let normals = 3 * Type::F64.bytes();
         let colours = normals + 3 * Type::F32.bytes() * usize::from(self.normals);
-        [normals, colours, colours + 3 * usize::from(self.colours)]
+        let numbers = colours + 3 * usize::from(self.colours);
+        [normals, colours, numbers, numbers + Type::U32.bytes() * self.numbers.len()]
     }
 
     /// Writes the rows from a point on.
     fn write(&self, cloud: &Cloud, first: usize, rows: &mut [u8]) {
-        let (stride, [normals, colours, numbers]) = (self.stride(), self.starts());
+        let (stride, [normals, colours, numbers, measured]) = (self.stride(), self.starts());
         let points = first..first + rows.len() / stride;
         put(rows, stride, 0, &cloud.points[points.clone()], |point: [f64; 3]| {
             cast::<_, [u8; 24]>(point.map(f64::to_le_bytes))
@@ -109,17 +115,22 @@ impl<'a> Layout<'a> {
         for (place, values) in cloud.numbers.values().enumerate() {
             put(rows, stride, numbers + Type::U32.bytes() * place, &values[points.clone()], u32::to_le_bytes);
         }
+        for (place, values) in cloud.values.values().enumerate() {
+            put(rows, stride, measured + Type::F32.bytes() * place, &values[points.clone()], f32::to_le_bytes);
+        }
     }
 
     /// Reads all rows of an element.
     fn read(&self, element: &Element, rows: &[u8], cloud: &mut Cloud) -> Result<(), CodecError> {
-        let (stride, [normals, colours, numbers]) = (self.stride(), self.starts());
+        let (stride, [normals, colours, numbers, measured]) = (self.stride(), self.starts());
         let room = |has: bool| if has { element.count } else { 0 };
         cloud.points = limits::list("points", element.count)?;
         cloud.normals = limits::list("normals", room(self.normals))?;
         cloud.colours = limits::list("colours", room(self.colours))?;
         let lists = self.numbers.iter().map(|_| limits::list("numbers", element.count));
         let mut values: Vec<Vec<u32>> = lists.collect::<Result<_, _>>()?;
+        let lists = self.values.iter().map(|_| limits::list("values", element.count));
+        let mut floats: Vec<Vec<f32>> = lists.collect::<Result<_, _>>()?;
         for rows in rows.chunks(stride * ROWS_AT_A_TIME) {
             let first = cloud.points.len();
             let point = |bytes: [u8; 24]| cast::<_, [[u8; 8]; 3]>(bytes).map(f64::from_le_bytes);
@@ -139,7 +150,11 @@ impl<'a> Layout<'a> {
             for (place, values) in values.iter_mut().enumerate() {
                 values.extend(get(rows, stride, numbers + Type::U32.bytes() * place).map(u32::from_le_bytes));
             }
+            for (place, values) in floats.iter_mut().enumerate() {
+                values.extend(get(rows, stride, measured + Type::F32.bytes() * place).map(f32::from_le_bytes));
+            }
         }
+        cloud.values = self.values.iter().map(|name| (*name).to_owned()).zip(floats).collect();
         cloud.numbers = self.numbers.iter().map(|name| (*name).to_owned()).zip(values).collect();
         Ok(())
     }
@@ -179,13 +194,17 @@ fn check(cloud: &Cloud) -> Result<(), CodecError> {
     if let Some((name, length)) = lists.into_iter().find(|(_, length)| *length != 0 && *length != count) {
         return Err(fault(&format!("{count} points, but {length} {name}")));
     }
-    for (name, values) in &cloud.numbers {
+    if let Some(name) = cloud.values.keys().find(|name| cloud.numbers.contains_key(*name)) {
+        return Err(fault(&format!("both a number and a value are called `{name}`")));
+    }
+    let numbers = cloud.numbers.iter().map(|(name, values)| (name, values.len()));
+    for (name, length) in numbers.chain(cloud.values.iter().map(|(name, values)| (name, values.len()))) {
         let plain = !name.is_empty() && name.bytes().all(|b| b.is_ascii_lowercase() || b.is_ascii_digit() || b == b'_');
         if !plain || KNOWN.contains(&name.as_str()) {
             return Err(fault(&format!("`{name}` cannot name a number: lower-case letters, digits and `_`")));
         }
-        if values.len() != count {
-            return Err(fault(&format!("{count} points, but {} numbers `{name}`", values.len())));
+        if length != count {
+            return Err(fault(&format!("{count} points, but {length} numbers `{name}`")));
         }
     }
     if let Some(at) = first_not_finite(&cloud.points) {
@@ -200,7 +219,7 @@ fn check(cloud: &Cloud) -> Result<(), CodecError> {
 /// Reads a cloud from any common PLY without faces: ascii or binary of either byte order, any number types.
 ///
 /// The frame is the one our own comment states, otherwise world. Colours are read where they are one byte each; of the
-/// other properties those of 32-bit whole numbers are kept, the rest is left out.
+/// other properties those of 32-bit whole numbers are kept, and in our own files those of 32-bit floats; the rest is left out.
 ///
 /// # Errors
 /// The row at fault: a header that is no PLY, faces, counts the file is too short for, coordinates that are not finite.
@@ -222,7 +241,7 @@ fn read_body<S: Source>(header: &Header, mut source: S) -> Result<Cloud, CodecEr
     for element in &header.elements {
         check_held(&source, element)?;
         if element.name == "vertex" {
-            read_points(element, &mut source, &mut cloud)?;
+            read_points(element, header.states_frame, &mut source, &mut cloud)?;
         } else {
             skip(element, &mut source)?;
         }
@@ -261,8 +280,13 @@ fn roles(element: &Element, names: &mut Vec<String>) -> Result<Vec<Role>, CodecE
     Ok(element.properties.iter().map(role).collect())
 }
 
-fn read_points<S: Source>(element: &Element, source: &mut S, cloud: &mut Cloud) -> Result<(), CodecError> {
-    if let Some(layout) = Layout::of(element)
+fn read_points<S: Source>(
+    element: &Element,
+    is_own: bool,
+    source: &mut S,
+    cloud: &mut Cloud,
+) -> Result<(), CodecError> {
+    if let Some(layout) = Layout::of(element).filter(|layout| is_own || layout.values.is_empty())
         && let Some(rows) = source.rows(element)
     {
         return layout.read(element, rows, cloud);
@@ -317,6 +341,7 @@ mod tests {
         cloud.colours = vec![[1, 2, 255], [0, 0, 0]];
         cloud.numbers.insert("id".to_owned(), vec![u32::MAX, 7]);
         cloud.numbers.insert("views".to_owned(), vec![2, 3]);
+        cloud.values.insert("change".to_owned(), vec![-0.25, 1e-30]);
         cloud
     }
 
@@ -347,6 +372,9 @@ mod tests {
         let mut named = cloud();
         named.numbers.insert("nx".to_owned(), vec![0, 0]);
         assert!(write(&named).unwrap_err().0.contains("`nx` cannot name"));
+        let mut twice = cloud();
+        twice.values.insert("id".to_owned(), vec![0.0, 0.0]);
+        assert!(write(&twice).unwrap_err().0.contains("both a number and a value"));
         let mut endless = cloud();
         endless.points[1][2] = f64::NAN;
         assert!(write(&endless).unwrap_err().0.contains("point 1"));
