@@ -258,7 +258,7 @@ mod tests {
     fn what_is_no_inventory_is_refused_with_its_name() {
         let refused = |text: &str| imported(text, &json!({"path": "a.geojson"})).unwrap_err().message;
         assert!(refused("{}").contains("a.geojson"));
-        let point = r#"{"features": [{"properties": {}, "geometry": {"type": "Point", "coordinates": [1, 2]}}]}"#;
-        assert!(refused(point).contains("feature 0") && refused(point).contains("`Point`"), "{}", refused(point));
+        let line = r#"{"features": [{"properties": {}, "geometry": {"type": "LineString", "coordinates": [[1, 2], [3, 4]]}}]}"#;
+        assert!(refused(line).contains("feature 0") && refused(line).contains("`LineString`"), "{}", refused(line));
     }
 }
