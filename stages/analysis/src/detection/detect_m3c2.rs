@@ -7,7 +7,7 @@ use crate::detection::cloud::Cloud;
 use crate::detection::core_cells::CoreCells;
 use crate::detection::facing;
 use crate::detection::found;
-use crate::detection::found::Found;
+use crate::detection::found::{Found, Heights};
 use crate::detection::limit::{self, NORMAL_95};
 use crate::detection::m3c2;
 use crate::detection::m3c2::{Distance, Scales};
@@ -103,7 +103,7 @@ impl Stage for DetectM3c2 {
         warn_of_depth(&distances, params, &grid, context);
         warn_of_low_limit(&distances, params, context);
         let labels = found::labels(&grid, frame, &found)?;
-        let detections = found::inventory(&grid, frame, "m3c2", &found);
+        let detections = found::inventory(&grid, frame, "m3c2", Heights::Known, &found);
         let distances = bands(&grid, frame, &distances);
         Ok(Outputs::of("detections", detections).and("labels", labels).and("distances", distances))
     }

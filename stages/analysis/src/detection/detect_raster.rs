@@ -2,11 +2,11 @@
 
 use crate::detection::change::Change;
 use crate::detection::found;
-use crate::detection::found::Found;
+use crate::detection::found::{Found, Heights};
 use crate::detection::limit;
 use crate::detection::limit::{Combination, NORMAL_95};
 use crate::detection::{clusters, raster};
-use rockface_core::artefact::{Kind, Raster};
+use rockface_core::artefact::{Frame, Kind, Raster};
 use rockface_core::numerics::{marginal, quantile};
 use rockface_core::params::Range;
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params, union};
@@ -88,11 +88,15 @@ pub struct DetectRaster;
 impl Stage for DetectRaster {
     type Params = DetectRasterParams;
     const NAME: &'static str = "detect-raster";
-    const VERSION: u32 = 4;
+    const VERSION: u32 = 5;
     const PAGE: Page = Page::new(include_str!("detect_raster.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("difference", &[Kind::Raster], "Comparison minus reference, one band."),
-        Port::optional("reference", &[Kind::Raster], "Elevations before: for boxes and roughness."),
+        Port::optional(
+            "reference",
+            &[Kind::Raster],
+            "Elevations before: for boxes, places in the world and roughness.",
+        ),
         Port::optional("comparison", &[Kind::Raster], "Elevations after: for roughness."),
     ];
     const OUTPUTS: &'static [Port] = &[
@@ -122,7 +126,11 @@ impl Stage for DetectRaster {
         report(&found, &limits, limit, &lost, context)?;
         warn_of_missing(&found, difference, context);
         let labels = found::labels(&difference.grid, difference.frame, &found)?;
-        let detections = found::inventory(&difference.grid, difference.frame, "raster", &found);
+        let heights = if reference.is_some() { Heights::Known } else { Heights::Unknown };
+        if heights == Heights::Unknown && !found.is_empty() {
+            tell_of_heights(difference.frame, context);
+        }
+        let detections = found::inventory(&difference.grid, difference.frame, "raster", heights, &found);
         Ok(Outputs::of("detections", detections).and("labels", labels))
     }
 }
@@ -225,6 +233,18 @@ fn warn_of_uneven_noise(limit: &Limit, difference: &Raster, context: &Context) {
              cells noise counts as change there, and deviations of volumes are too small there and too large elsewhere: take `lod: {{lague: ...}}`, \
              or crop to places that are alike"
         ));
+    }
+}
+
+/// Says what is not known of changes without elevations. It is worth a warning where the places in the world could be known.
+fn tell_of_heights(frame: Frame, context: &Context) {
+    let lying = "without `reference` centroids and boxes lie between 0 and the difference";
+    if frame.wall_from_world().is_some() {
+        context.warn(format!(
+            "{lying}, so `centroid_world_x_m`, `_y_m` and `_z_m` stay empty: connect the elevations before to `reference`"
+        ));
+    } else {
+        context.note(format!("{lying}: connect the elevations before to `reference` where places matter"));
     }
 }
 

@@ -7,7 +7,7 @@ use nalgebra::Vector3;
 use crate::detection::change::Change;
 use crate::detection::facing;
 use crate::detection::found;
-use crate::detection::found::Found;
+use crate::detection::found::{Found, Heights};
 use crate::detection::voxels::{self, Cluster, Voxels};
 use rockface_core::artefact::{Artefact, Band, Grid, Kind, Raster, Surface, Transform};
 use rockface_core::params::Range;
@@ -106,7 +106,7 @@ impl Stage for DetectVoxels {
         note_unseen(&unseen, params, context);
         warn_of_open(&open, &found, params, context);
         let labels = found::labels(&grid, frame, &found)?;
-        let detections = found::inventory(&grid, frame, "voxels", &found);
+        let detections = found::inventory(&grid, frame, "voxels", Heights::Known, &found);
         Ok(Outputs::of("detections", detections).and("labels", labels))
     }
 }
