@@ -212,3 +212,29 @@ fn places_in_the_world_need_elevations() {
     assert!(told.len() == 1 && told[0].contains("to `reference`"), "{told:?}");
     assert!(found(Frame::Wall, &[]).1.is_empty());
 }
+
+#[test]
+fn a_survey_of_a_part_of_the_face_is_told_with_its_share() {
+    let told = |tested: usize, with_reference: bool| {
+        let mut difference = scene(&[]);
+        difference.bands[0].values[tested..].fill(f32::NAN);
+        // The face fills 200 of the 240 cells.
+        let mut reference = Raster::single(GRID, Frame::Wall, "elevation", "elevation", vec![3.0; GRID.cells()]);
+        reference.bands[0].values[200..].fill(f32::NAN);
+        let mut inputs: Vec<(&str, Artefact)> = vec![("difference", difference.into())];
+        inputs.extend(with_reference.then(|| ("reference", reference.into())));
+        let host = TestHost::default();
+        let made = run_stage::<DetectRaster>(&host, &json!({}), &inputs).unwrap().into_inner();
+        let Artefact::Table(summary) = &made["summary"] else { panic!("no summary") };
+        let number = |name: &str| summary.rows[0][summary.column(name).unwrap()].number().unwrap();
+        assert_eq!(number("detections").to_bits(), 0.0f64.to_bits());
+        assert!((number("tested_m2") - tested as f64 * 4e-4).abs() < 1e-9);
+        (number("tested_share"), host.warnings())
+    };
+    for (tested, share, warns) in [(200, 1.0, false), (182, 0.91, false), (178, 0.89, true), (6, 0.03, true)] {
+        let (found, warnings) = told(tested, true);
+        assert!((found - share).abs() < 1e-9 && !warnings.is_empty() == warns, "{tested}: {found} {warnings:?}");
+    }
+    let (share, warnings) = told(60, false);
+    assert!((share - 0.25).abs() < 1e-9 && warnings.is_empty(), "{share} {warnings:?}");
+}
