@@ -110,7 +110,7 @@ impl Stage for DetectM3c2 {
         let few = warn_of_few(&distances, params, context);
         let gaps = warn_of_gaps(&distances, &cells, params, context);
         if !few && !gaps {
-            tested.warn(context);
+            tested.warning().into_iter().for_each(|text| context.warn(text));
         }
         warn_of_missing(&found, &grid, &cells, &measured, params, context);
         warn_of_depth(&distances, params, &grid, context);

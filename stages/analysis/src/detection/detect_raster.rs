@@ -131,7 +131,7 @@ impl Stage for DetectRaster {
         let found = detect(params, difference, &lost, &limits, reference);
         let tested = tested(&limits, &lost, reference, difference.grid.cell_m)?;
         report(&found, limit, &tested, context);
-        tested.warn(context);
+        tested.warning().into_iter().for_each(|text| context.warn(text));
         warn_of_missing(&found, difference, context);
         let labels = found::labels(&difference.grid, difference.frame, &found)?;
         let heights = if reference.is_some() { Heights::Known } else { Heights::Unknown };

@@ -112,7 +112,7 @@ impl Stage for DetectVoxels {
             clusters.into_iter().filter(|c| counts(c, params)).partition(|c| c.bridged > MOST_BRIDGED);
         let found: Vec<Found> = clusters.iter().map(|c| body(c, &grid, low, params.voxel_m)).collect();
         report(&found, all, occupied, &tested, context);
-        tested.warn(context);
+        tested.warning().into_iter().for_each(|text| context.warn(text));
         note_unseen(&unseen, params, context);
         warn_of_open(&open, &found, params, context);
         let labels = found::labels(&grid, frame, &found)?;

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use rockface_core::artefact::{Grid, Table};
-use rockface_core::{Context, table_row};
+use rockface_core::table_row;
 
 use super::change::Change;
 use super::found::Found;
@@ -43,15 +43,16 @@ impl Tested {
         if self.share < MENTIONED_BELOW { format!(", on {} of {of}", percent(self.share)) } else { String::new() }
     }
 
-    /// Warns where clearly less was seen than the reference has.
-    pub fn warn(&self, context: &Context) {
-        if self.whole == Whole::Reference && self.share < WARNED_BELOW {
-            context.warn(format!(
+    /// The warning where clearly less was seen than the reference has.
+    pub fn warning(&self) -> Option<String> {
+        let is_little = self.whole == Whole::Reference && self.share < WARNED_BELOW;
+        is_little.then(|| {
+            format!(
                 "changes are known on {} of the face of the reference only: what fell elsewhere is not found, and that few or no changes are found says \
                  nothing about it; see what both surveys saw, or crop or mask the reference too where the rest does not matter",
                 percent(self.share)
-            ));
-        }
+            )
+        })
     }
 }
 
