@@ -11,6 +11,14 @@ rockface_core::choice! {
 }
 
 impl Change {
+    /// The word that parameters and tables have for it.
+    pub const fn word(self) -> &'static str {
+        match self {
+            Self::Loss => "loss",
+            Self::Gain => "gain",
+        }
+    }
+
     /// The sign of comparison minus reference where there is such a change.
     pub fn sign(self) -> f64 {
         if self == Self::Loss { -1.0 } else { 1.0 }

@@ -7,11 +7,12 @@ use crate::detection::cloud::Cloud;
 use crate::detection::core_cells::CoreCells;
 use crate::detection::facing;
 use crate::detection::found;
-use crate::detection::found::Found;
+use crate::detection::found::{Found, Heights};
 use crate::detection::limit::{self, NORMAL_95};
 use crate::detection::m3c2;
 use crate::detection::m3c2::{Distance, Scales};
-use crate::detection::{clusters, raster};
+use crate::detection::tested::{Tested, Whole};
+use crate::detection::{clusters, raster, tested};
 use rockface_core::artefact::{Artefact, Band, Frame, Grid, Kind, Raster, Transform};
 use rockface_core::params::{Fault, Range};
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
@@ -53,7 +54,7 @@ pub struct DetectM3c2;
 impl Stage for DetectM3c2 {
     type Params = DetectM3c2Params;
     const NAME: &'static str = "detect-m3c2";
-    const VERSION: u32 = 8;
+    const VERSION: u32 = 9;
     const PAGE: Page = Page::new(include_str!("detect_m3c2.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("reference", &[Kind::Surface, Kind::Mesh, Kind::Cloud], "The earlier epoch: its points or vertices."),
@@ -65,6 +66,11 @@ impl Stage for DetectM3c2 {
         Port::one("detections", &[Kind::Inventory], "One feature a cluster: outline, volume, area, depth, box, score."),
         Port::one("labels", &[Kind::Raster], "Number of the cluster of each core point, 0 for none."),
         Port::one("distances", &[Kind::Raster], "What is known at each core point."),
+        Port::one(
+            "summary",
+            &[Kind::Table],
+            "One row: number and volume of the changes, and how much of the face was tested.",
+        ),
     ];
 
     fn check(params: &Self::Params) -> Vec<Fault> {
@@ -97,15 +103,24 @@ impl Stage for DetectM3c2 {
         let cores = m3c2::cores(&clouds[0], &grid);
         let distances = m3c2::distances([&clouds[0], &clouds[1]], &cores, &scales(params));
         let cells = CoreCells::new(&cores, &grid, params.projection_radius_m);
-        let found = detect(params, &grid, &distances, &cells);
-        report(&found, &distances, &cells, params, context)?;
-        warn_of_gaps(&distances, &cells, params, context);
+        let measured = measured(&cores, &distances, &grid, params);
+        let found = detect(params, &grid, &distances, &measured);
+        let tested = tested(&cells, &measured, &grid);
+        let median = report(&found, &distances, &cells, params, &tested, context)?;
+        let few = warn_of_few(&distances, params, context);
+        let gaps = warn_of_gaps(&distances, &cells, params, context);
+        if !few && !gaps {
+            tested.warning().into_iter().for_each(|text| context.warn(text));
+        }
+        warn_of_missing(&found, &grid, &cells, &measured, params, context);
         warn_of_depth(&distances, params, &grid, context);
         warn_of_low_limit(&distances, params, context);
         let labels = found::labels(&grid, frame, &found)?;
-        let detections = found::inventory(&grid, frame, "m3c2", &found);
+        let detections = found::inventory(&grid, frame, "m3c2", Heights::Known, &found);
+        let summary = tested::summary("m3c2", params.change, &found, Some(median), &tested);
         let distances = bands(&grid, frame, &distances);
-        Ok(Outputs::of("detections", detections).and("labels", labels).and("distances", distances))
+        let outputs = Outputs::of("detections", detections).and("labels", labels).and("distances", distances);
+        Ok(outputs.and("summary", summary))
     }
 }
 
@@ -138,6 +153,27 @@ fn scales(params: &DetectM3c2Params) -> Scales {
         registration_m: params.registration_m,
         least_points: params.least_points,
     }
+}
+
+/// The cells by core points with a distance: one without counts to the next that has one, as a cell without a core point does.
+fn measured(
+    cores: &[Option<[f64; 3]>],
+    distances: &[Option<Distance>],
+    grid: &Grid,
+    params: &DetectM3c2Params,
+) -> CoreCells {
+    let has_distance = |found: &Distance| !found.limit_m.is_nan();
+    let known =
+        cores.iter().zip(distances).map(|(core, found)| core.filter(|_| found.as_ref().is_some_and(has_distance)));
+    CoreCells::new(&known.collect::<Vec<_>>(), grid, params.projection_radius_m)
+}
+
+/// How much of the face counts to a core point with a distance, of all that is between core points.
+fn tested(cells: &CoreCells, measured: &CoreCells, grid: &Grid) -> Tested {
+    let counted = |cells: &CoreCells| (0..grid.cells()).filter(|cell| cells.owner(*cell).is_some()).count() as f64;
+    let known = counted(measured);
+    let share = known / (counted(cells) + cells.gaps as f64);
+    Tested { share, whole: Whole::Reference, area_m2: known * grid.cell_m * grid.cell_m }
 }
 
 fn detect(params: &DetectM3c2Params, grid: &Grid, distances: &[Option<Distance>], cells: &CoreCells) -> Vec<Found> {
@@ -237,8 +273,9 @@ fn report(
     distances: &[Option<Distance>],
     cells: &CoreCells,
     params: &DetectM3c2Params,
+    tested: &Tested,
     context: &Context,
-) -> Result<(), StageError> {
+) -> Result<f64, StageError> {
     let cores = distances.iter().flatten().count();
     let mut limits: Vec<f64> = distances.iter().flatten().map(|d| d.limit_m).filter(|limit| !limit.is_nan()).collect();
     if limits.is_empty() {
@@ -249,13 +286,6 @@ fn report(
         .hint("enlarge `projection_radius_m` or `depth_m`, and see whether the clouds overlap"));
     }
     let measured = limits.len();
-    if 5 * measured < 4 * cores {
-        context.warn(format!(
-            "only {measured} of {cores} core points have {} points of both clouds within `projection_radius_m`, {} m; no change is found at \
-             the others: enlarge it, or see whether the clouds overlap",
-            params.least_points, params.projection_radius_m
-        ));
-    }
     let median = rockface_core::numerics::quantile::median(&mut limits).unwrap_or(f64::NAN);
     let volume = found.iter().fold(0.0, |sum, found| sum + found.volume_m3);
     context.metric("cores", cores as f64, "1");
@@ -266,12 +296,47 @@ fn report(
     context.metric("detections", found.len() as f64, "1");
     context.metric("volume", volume, "m3");
     context.headline(format!(
-        "{} changes of {} m3 together at {measured} core points, median LoD95 {:.1} mm",
+        "{} changes of {} m3 together at {measured} core points, median LoD95 {:.1} mm{}",
         found.len(),
         found::volume_text(volume),
-        1e3 * median
+        1e3 * median,
+        tested.words()
     ));
-    Ok(())
+    Ok(median)
+}
+
+/// Says where a fifth of the core points or more have no distance; whether it did.
+fn warn_of_few(distances: &[Option<Distance>], params: &DetectM3c2Params, context: &Context) -> bool {
+    let cores = distances.iter().flatten().count();
+    let measured = distances.iter().flatten().filter(|found| !found.limit_m.is_nan()).count();
+    let are_few = 5 * measured < 4 * cores;
+    if are_few {
+        context.warn(format!(
+            "only {measured} of {cores} core points have {} points of both clouds within `projection_radius_m`, {} m; no change is found at \
+             the others, but for those next to one that has: enlarge it, or see whether the clouds overlap",
+            params.least_points, params.projection_radius_m
+        ));
+    }
+    are_few
+}
+
+/// Says where cells without a distance touch what was found: what was lost there is in no volume, and may part one change in several.
+fn warn_of_missing(
+    found: &[Found],
+    grid: &Grid,
+    cells: &CoreCells,
+    measured: &CoreCells,
+    params: &DetectM3c2Params,
+    context: &Context,
+) {
+    let is_missing = |cell: usize| cells.owner(cell).is_some() && measured.owner(cell).is_none();
+    if let Some([missing, cells]) = tested::beside(found, grid, is_missing) {
+        context.warn(format!(
+            "{missing} cells of core points without a distance touch the {cells} cells of what was found: what changed there is in no volume and may \
+             part one change in several; enlarge `projection_radius_m`, {} m, or `depth_m`, {} m",
+            params.projection_radius_m, params.depth_m
+        ));
+    }
 }
 
 /// Share of the cells that core points stand for from which on cells between them that they do not reach are more than a few.
@@ -279,12 +344,19 @@ const MANY_GAPS: f64 = 0.1;
 /// Cells as wide as so many mean distances of points hold one each, but for a few.
 const CELL_PER_DISTANCE: f64 = 2.0;
 
-/// Says where many cells between core points hold no point and are farther from one than the cylinders reach: changes there have no volume.
-fn warn_of_gaps(distances: &[Option<Distance>], cells: &CoreCells, params: &DetectM3c2Params, context: &Context) {
+/// Says where many cells between core points hold no point and are farther from one than the cylinders reach: changes there have no volume. Whether
+/// it did.
+fn warn_of_gaps(
+    distances: &[Option<Distance>],
+    cells: &CoreCells,
+    params: &DetectM3c2Params,
+    context: &Context,
+) -> bool {
     let held = (0..distances.len()).filter(|cell| cells.is_core(*cell)).count() as f64;
     let counted = (0..distances.len()).filter(|cell| cells.owner(*cell).is_some()).count() as f64;
     let gaps = cells.gaps as f64;
-    if gaps > MANY_GAPS * counted {
+    let are_many = gaps > MANY_GAPS * counted;
+    if are_many {
         let spacing_m = CELL_PER_DISTANCE * params.core_spacing_m * ((counted + gaps) / held).sqrt();
         context.warn(format!(
             "{:.0} % of the cells of `core_spacing_m`, {} m, between core points hold no point of the reference and are farther from one than \
@@ -294,6 +366,7 @@ fn warn_of_gaps(distances: &[Option<Distance>], cells: &CoreCells, params: &Dete
             params.projection_radius_m
         ));
     }
+    are_many
 }
 
 /// Core points of a patch without a point of the comparison that is worth a warning, at least.

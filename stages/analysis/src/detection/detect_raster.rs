@@ -2,11 +2,12 @@
 
 use crate::detection::change::Change;
 use crate::detection::found;
-use crate::detection::found::Found;
+use crate::detection::found::{Found, Heights};
 use crate::detection::limit;
 use crate::detection::limit::{Combination, NORMAL_95};
-use crate::detection::{clusters, raster};
-use rockface_core::artefact::{Kind, Raster};
+use crate::detection::tested::{Tested, Whole};
+use crate::detection::{clusters, raster, tested};
+use rockface_core::artefact::{Frame, Kind, Raster};
 use rockface_core::numerics::{marginal, quantile};
 use rockface_core::params::Range;
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params, union};
@@ -88,16 +89,25 @@ pub struct DetectRaster;
 impl Stage for DetectRaster {
     type Params = DetectRasterParams;
     const NAME: &'static str = "detect-raster";
-    const VERSION: u32 = 4;
+    const VERSION: u32 = 5;
     const PAGE: Page = Page::new(include_str!("detect_raster.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("difference", &[Kind::Raster], "Comparison minus reference, one band."),
-        Port::optional("reference", &[Kind::Raster], "Elevations before: for boxes and roughness."),
+        Port::optional(
+            "reference",
+            &[Kind::Raster],
+            "Elevations before: for boxes, places in the world and roughness.",
+        ),
         Port::optional("comparison", &[Kind::Raster], "Elevations after: for roughness."),
     ];
     const OUTPUTS: &'static [Port] = &[
         Port::one("detections", &[Kind::Inventory], "One feature a cluster: outline, volume, area, depth, box, score."),
         Port::one("labels", &[Kind::Raster], "Number of the cluster of each cell, 0 for none."),
+        Port::one(
+            "summary",
+            &[Kind::Table],
+            "One row: number and volume of the changes, and how much of the face was tested.",
+        ),
     ];
 
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
@@ -119,11 +129,18 @@ impl Stage for DetectRaster {
         warn_of_uneven_noise(&params.lod, difference, context);
         warn_of_single_cells(params, difference.grid.cell_m, context);
         let found = detect(params, difference, &lost, &limits, reference);
-        report(&found, &limits, limit, &lost, context)?;
+        let tested = tested(&limits, &lost, reference, difference.grid.cell_m)?;
+        report(&found, limit, &tested, context);
+        tested.warning().into_iter().for_each(|text| context.warn(text));
         warn_of_missing(&found, difference, context);
         let labels = found::labels(&difference.grid, difference.frame, &found)?;
-        let detections = found::inventory(&difference.grid, difference.frame, "raster", &found);
-        Ok(Outputs::of("detections", detections).and("labels", labels))
+        let heights = if reference.is_some() { Heights::Known } else { Heights::Unknown };
+        if heights == Heights::Unknown && !found.is_empty() {
+            tell_of_heights(difference.frame, context);
+        }
+        let detections = found::inventory(&difference.grid, difference.frame, "raster", heights, &found);
+        let summary = tested::summary("raster", params.change, &found, Some(limit), &tested);
+        Ok(Outputs::of("detections", detections).and("labels", labels).and("summary", summary))
     }
 }
 
@@ -228,6 +245,18 @@ fn warn_of_uneven_noise(limit: &Limit, difference: &Raster, context: &Context) {
     }
 }
 
+/// Says what is not known of changes without elevations. It is worth a warning where the places in the world could be known.
+fn tell_of_heights(frame: Frame, context: &Context) {
+    let lying = "without `reference` centroids and boxes lie between 0 and the difference";
+    if frame.wall_from_world().is_some() {
+        context.warn(format!(
+            "{lying}, so `centroid_world_x_m`, `_y_m` and `_z_m` stay empty: connect the elevations before to `reference`"
+        ));
+    } else {
+        context.note(format!("{lying}: connect the elevations before to `reference` where places matter"));
+    }
+}
+
 fn by_roughness(
     rough: &RoughnessLimit,
     how: Combination,
@@ -281,47 +310,48 @@ fn warn_of_single_cells(params: &DetectRasterParams, cell_m: f64, context: &Cont
     }
 }
 
-/// The share of cells without a value at the rims of what was found, of all its cells, that is worth a warning, and how many at least.
-const MISSING_SHARE: f64 = 0.15;
-const MISSING_CELLS: usize = 10;
-
 /// Says where cells without a value touch what was found: what was lost there is in no volume, and may part one change in several.
 fn warn_of_missing(found: &[Found], difference: &Raster, context: &Context) {
-    let (grid, values) = (&difference.grid, &difference.bands[0].values);
-    let mut missing = std::collections::BTreeSet::new();
-    for (row, column) in found.iter().flat_map(|found| &found.cells) {
-        let rows = row.saturating_sub(1)..=(row + 1).min(grid.rows - 1);
-        let columns = column.saturating_sub(1)..=(column + 1).min(grid.columns - 1);
-        let around = rows.flat_map(|row| columns.clone().map(move |column| row * grid.columns + column));
-        missing.extend(around.filter(|cell| values[*cell].is_nan()));
-    }
-    let cells: usize = found.iter().map(|found| found.cells.len()).sum();
-    if missing.len() >= MISSING_CELLS && missing.len() as f64 > MISSING_SHARE * cells as f64 {
+    let values = &difference.bands[0].values;
+    if let Some([missing, cells]) = tested::beside(found, &difference.grid, |cell| values[cell].is_nan()) {
         context.warn(format!(
-            "{} cells without a value touch the {cells} cells of what was found: what changed there is in no volume and may part one change in \
-             several; see the pictures of both surveys",
-            missing.len()
+            "{missing} cells without a value touch the {cells} cells of what was found: what changed there is in no volume and may part one change in \
+             several; see the pictures of both surveys"
         ));
     }
 }
 
-fn report(found: &[Found], limits: &[f32], median: f64, lost: &[f64], context: &Context) -> Result<(), StageError> {
-    let tested = lost.iter().zip(limits).filter(|(d, limit)| !d.is_nan() && !limit.is_nan()).count();
-    if tested == 0 {
+/// How much of the face of the reference, or of the grid where that is not given, has a difference and a limit of detection.
+fn tested(limits: &[f32], lost: &[f64], reference: Option<&[f32]>, cell_m: f64) -> Result<Tested, StageError> {
+    let is_tested = |cell: &usize| !lost[*cell].is_nan() && !limits[*cell].is_nan();
+    let cells = (0..lost.len()).filter(is_tested).count();
+    if cells == 0 {
         fail!("no cell has a difference and a limit of detection");
     }
+    let area_m2 = cells as f64 * cell_m * cell_m;
+    let face = reference.map(|z| (0..z.len()).filter(|cell| !z[*cell].is_nan()).collect::<Vec<usize>>());
+    Ok(match face.filter(|face| !face.is_empty()) {
+        Some(face) => {
+            let share = face.iter().filter(|cell| is_tested(cell)).count() as f64 / face.len() as f64;
+            Tested { share, whole: Whole::Reference, area_m2 }
+        }
+        None => Tested { share: cells as f64 / lost.len() as f64, whole: Whole::Grid, area_m2 },
+    })
+}
+
+fn report(found: &[Found], median: f64, tested: &Tested, context: &Context) {
     let volume = found.iter().fold(0.0, |sum, found| sum + found.volume_m3);
-    context.metric("tested_share", tested as f64 / lost.len() as f64, "1");
+    context.metric("tested_share", tested.share, "1");
     context.metric("lod95_median", median, "m");
     context.metric("detections", found.len() as f64, "1");
     context.metric("volume", volume, "m3");
     context.headline(format!(
-        "{} changes of {} m3 together beyond {:.1} mm",
+        "{} changes of {} m3 together beyond {:.1} mm{}",
         found.len(),
         found::volume_text(volume),
-        1e3 * median
+        1e3 * median,
+        tested.words()
     ));
-    Ok(())
 }
 
 #[cfg(test)]

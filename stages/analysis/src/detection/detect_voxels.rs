@@ -7,7 +7,8 @@ use nalgebra::Vector3;
 use crate::detection::change::Change;
 use crate::detection::facing;
 use crate::detection::found;
-use crate::detection::found::Found;
+use crate::detection::found::{Found, Heights};
+use crate::detection::tested::{self, Tested, Whole};
 use crate::detection::voxels::{self, Cluster, Voxels};
 use rockface_core::artefact::{Artefact, Band, Grid, Kind, Raster, Surface, Transform};
 use rockface_core::params::Range;
@@ -47,7 +48,7 @@ pub struct DetectVoxels;
 impl Stage for DetectVoxels {
     type Params = DetectVoxelsParams;
     const NAME: &'static str = "detect-voxels";
-    const VERSION: u32 = 5;
+    const VERSION: u32 = 6;
     const PAGE: Page = Page::new(include_str!("detect_voxels.md"));
     const INPUTS: &'static [Port] = &[
         Port::one(
@@ -61,6 +62,11 @@ impl Stage for DetectVoxels {
     const OUTPUTS: &'static [Port] = &[
         Port::one("detections", &[Kind::Inventory], "One feature a cluster: outline, volume, area, depth, box, score."),
         Port::one("labels", &[Kind::Raster], "Number of the cluster of each column of voxels, 0 for none."),
+        Port::one(
+            "summary",
+            &[Kind::Table],
+            "One row: number and volume of the changes, and how much of the face was tested.",
+        ),
     ];
 
     fn memory_bytes(params: &Self::Params, inputs: &InputSizes) -> u64 {
@@ -91,23 +97,28 @@ impl Stage for DetectVoxels {
         }
         let warning = facing::check("reference", reference, facing::VOLUMES_BELOW)?;
         warning.into_iter().for_each(|text| context.warn(text));
+        let outward = facing::outward(reference);
+        warn_of_dip(&outward, context);
         let moved = inputs.optional::<Transform>("transform")?.and_then(Moved::by);
         let voxels = Voxels::new([reference, comparison], [&bridged[0], &bridged[1]], moved.as_ref(), params.voxel_m)
             .map_err(|e| e.hint("choose a larger `voxel_m`; are both surfaces in metres?"))?;
         let grid = plan(&voxels);
         let low = voxels.low;
         let occupied = voxels.occupied();
-        let (clusters, open) = voxels.enclosed();
+        let tested = tested(&voxels, &outward);
+        let (clusters, open) = voxels.enclosed(&outward);
         let all = clusters.len();
         let (unseen, clusters): (Vec<Cluster>, Vec<Cluster>) =
             clusters.into_iter().filter(|c| counts(c, params)).partition(|c| c.bridged > MOST_BRIDGED);
         let found: Vec<Found> = clusters.iter().map(|c| body(c, &grid, low, params.voxel_m)).collect();
-        report(&found, all, occupied, context);
+        report(&found, all, occupied, &tested, context);
+        tested.warning().into_iter().for_each(|text| context.warn(text));
         note_unseen(&unseen, params, context);
         warn_of_open(&open, &found, params, context);
         let labels = found::labels(&grid, frame, &found)?;
-        let detections = found::inventory(&grid, frame, "voxels", &found);
-        Ok(Outputs::of("detections", detections).and("labels", labels))
+        let detections = found::inventory(&grid, frame, "voxels", Heights::Known, &found);
+        let summary = tested::summary("voxels", params.change, &found, None, &tested);
+        Ok(Outputs::of("detections", detections).and("labels", labels).and("summary", summary))
     }
 }
 
@@ -211,22 +222,46 @@ fn warn_of_open(open: &[usize], found: &[Found], params: &DetectVoxelsParams, co
     }
 }
 
-fn report(found: &[Found], clusters: usize, occupied: [usize; 3], context: &Context) {
+/// Sides and volumes are those of the face whatever its dip, but columns of voxels stand upright.
+fn warn_of_dip(outward: &Vector3<f64>, context: &Context) {
+    if outward.z < facing::POINTS_FROM_ABOVE {
+        context.warn(format!(
+            "the face of `reference` dips by {:.0} degrees and is in the world frame: areas, outlines and depths of changes are those seen from above, \
+             not those of the face; for these bring both epochs into the wall frame with one `transform` of `transform-crs`",
+            facing::dip_deg(outward)
+        ));
+    }
+}
+
+/// How much of the face of the reference lies over or under the comparison. Columns of voxels tell that of faces that are not steep.
+fn tested(voxels: &Voxels, outward: &Vector3<f64>) -> Tested {
+    let [reference, both] = voxels.columns().map(|columns| columns as f64);
+    let is_known = outward.z >= facing::POINTS_FROM_ABOVE && reference > 0.0;
+    let known = |value: f64| if is_known { value } else { f64::NAN };
+    let area_m2 = known(both * voxels.edge_m * voxels.edge_m);
+    Tested { share: known(both / reference), whole: Whole::Reference, area_m2 }
+}
+
+fn report(found: &[Found], clusters: usize, occupied: [usize; 3], tested: &Tested, context: &Context) {
     let [reference, comparison, both] = occupied;
     let volume = found.iter().fold(0.0, |sum, found| sum + found.volume_m3);
     context.metric("voxels_reference", reference as f64, "1");
     context.metric("voxels_comparison", comparison as f64, "1");
     context.metric("voxels_shared", both as f64, "1");
     context.metric("clusters", clusters as f64, "1");
+    if !tested.share.is_nan() {
+        context.metric("tested_share", tested.share, "1");
+    }
     context.metric("detections", found.len() as f64, "1");
     context.metric("volume", volume, "m3");
     if both == 0 {
         context.warn("the surfaces share no voxel: nothing closes the space between them; are both registered?");
     }
     context.headline(format!(
-        "{} changes of {} m3 together, of {clusters} enclosed spaces",
+        "{} changes of {} m3 together, of {clusters} enclosed spaces{}",
         found.len(),
-        found::volume_text(volume)
+        found::volume_text(volume),
+        tested.words()
     ));
 }
 
@@ -269,6 +304,51 @@ mod tests {
         assert!((number("cells") - count as f64).abs() < 0.5 && (120..=220).contains(&count), "{count}");
         assert!(found(elevations(0.0), elevations(0.12), "gain").0.features.is_empty());
         assert_eq!(found(elevations(0.12), elevations(0.0), "gain").0.features.len(), 1);
+    }
+
+    #[test]
+    fn a_survey_of_half_of_the_face_is_warned_of_with_its_share() {
+        let half = |last: usize| {
+            let mut after = elevations(0.0);
+            (0..3000).filter(|cell| cell % 60 >= last).for_each(|cell| after.bands[0].values[cell] = f32::NAN);
+            let host = TestHost::default();
+            let inputs = [("reference", elevations(0.0).into()), ("comparison", after.into())];
+            run_stage::<DetectVoxels>(&host, &json!({"voxel_m": 0.02}), &inputs).unwrap();
+            host.warnings()
+        };
+        assert!(half(57).is_empty());
+        let told = half(30);
+        assert!(told.len() == 1 && told[0].contains("% of the face of the reference"), "{told:?}");
+    }
+
+    #[test]
+    fn a_loss_of_a_steep_face_in_the_world_frame_is_one() {
+        // Steep to the west: what is up in the wall frame looks along (-1, 0, 0.15) here.
+        let steep = |depth: f32| {
+            let raster = elevations(depth);
+            let mut surface = raster_surface::between_cells(&raster).unwrap();
+            surface.frame = Frame::World;
+            let origin_m = std::mem::take(&mut surface.origin_m);
+            let turn = |point: [f32; 3]| {
+                let [x, y, z]: [f64; 3] = std::array::from_fn(|axis| origin_m[axis] + f64::from(point[axis]));
+                [0.15 * y - 0.99 * z, -x, 0.99 * y + 0.15 * z].map(|x| x as f32)
+            };
+            surface.points.iter_mut().for_each(|point| *point = turn(*point));
+            surface
+        };
+        for (before, after, change) in [(0.0, 0.2, "loss"), (0.2, 0.0, "gain")] {
+            let host = TestHost::default();
+            let inputs = [("reference", steep(before).into()), ("comparison", steep(after).into())];
+            let with = json!({"voxel_m": 0.03, "change": change});
+            let made = run_stage::<DetectVoxels>(&host, &with, &inputs).unwrap().into_inner();
+            let Artefact::Inventory(found) = &made["detections"] else { panic!("no inventory") };
+            assert_eq!(found.features.len(), 1, "{change}");
+            let told = host.warnings();
+            assert!(
+                told.iter().any(|text| text.contains("dips by 81 degrees") && text.contains("transform-crs")),
+                "{told:?}"
+            );
+        }
     }
 
     #[test]

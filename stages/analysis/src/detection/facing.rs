@@ -9,7 +9,8 @@ use rockface_raster::shape::Shape;
 
 /// Least vertical part of the mean normal of a face whose distances are measured at points seen from above: a dip of 60 degrees.
 pub const POINTS_FROM_ABOVE: f64 = 0.5;
-/// Least vertical part of the mean normal of a face that encloses volumes which lie above or below it: a dip of 85 degrees.
+/// Least vertical part of the mean normal of a face that encloses volumes: a dip of 85 degrees. The side of one that is steeper, or overhangs, is only
+/// in the order of the corners of its triangles, and where these face into the rock a loss would be a gain.
 pub const VOLUMES_BELOW: f64 = 0.087;
 
 /// Least mean normal, as a share of that of a plane, by which a surface has a side.
@@ -24,15 +25,7 @@ pub fn check(port: &str, shape: Shape, least_upwards: f64) -> Result<Option<Stri
     if shape.frame() != Frame::World {
         return Ok(None);
     }
-    let (mut normal, mut area) = (Vector3::zeros(), 0.0);
-    for strip in 0..shape.strips() {
-        shape.for_each_triangle(strip, |places| {
-            let [a, b, c] = places.map(|place| Vector3::from(shape.point(place, None)));
-            let own = (b - a).cross(&(c - a));
-            normal += own;
-            area += own.norm();
-        });
-    }
+    let (normal, area) = vector_area(shape);
     let length = normal.norm();
     if area <= 0.0 {
         let steepest = portable_math::atan2((1.0 - least_upwards * least_upwards).sqrt(), least_upwards).to_degrees();
@@ -42,7 +35,7 @@ pub fn check(port: &str, shape: Shape, least_upwards: f64) -> Result<Option<Stri
         )));
     }
     if length > LEAST_SIDE * area && normal.z < least_upwards * length {
-        let dip = portable_math::atan2(normal.xy().norm(), normal.z).to_degrees();
+        let dip = dip_deg(&normal);
         let lies = if dip > 90.0 { format!("overhangs by {:.0}", dip - 90.0) } else { format!("dips by {dip:.0}") };
         return Err(StageError::new(format!(
             "the face of `{port}` {lies} degrees and is in the world frame, where rock is what lies below: change would be missed, or loss \
@@ -54,6 +47,35 @@ pub fn check(port: &str, shape: Shape, least_upwards: f64) -> Result<Option<Stri
         ));
     }
     Ok(None)
+}
+
+/// The sum of the cross products of the sides of all triangles, and that of their lengths: twice the vector area and twice the area, square metres.
+fn vector_area(shape: Shape) -> (Vector3<f64>, f64) {
+    let (mut normal, mut area) = (Vector3::zeros(), 0.0);
+    for strip in 0..shape.strips() {
+        shape.for_each_triangle(strip, |places| {
+            let [a, b, c] = places.map(|place| Vector3::from(shape.point(place, None)));
+            let own = (b - a).cross(&(c - a));
+            normal += own;
+            area += own.norm();
+        });
+    }
+    (normal, area)
+}
+
+/// The way out of the rock: Z in the wall frame, in the world frame the unit mean normal of the face, or Z where it has no side.
+pub fn outward(shape: Shape) -> Vector3<f64> {
+    if shape.frame() != Frame::World {
+        return Vector3::z();
+    }
+    let (normal, area) = vector_area(shape);
+    let length = normal.norm();
+    if length > LEAST_SIDE * area { normal / length } else { Vector3::z() }
+}
+
+/// The dip of a face with this normal, degrees: 0 for a level one, more than 90 for one that overhangs.
+pub fn dip_deg(normal: &Vector3<f64>) -> f64 {
+    portable_math::atan2(normal.xy().norm(), normal.z).to_degrees()
 }
 
 #[cfg(test)]

@@ -63,10 +63,20 @@ pub fn volume_text(volume_m3: f64) -> String {
     if volume_m3 == 0.0 || volume_m3 >= 0.01 { format!("{volume_m3:.4}") } else { format!("{volume_m3:.3e}") }
 }
 
-/// The inventory of what was found, numbered from 1 in the given order. Where it is known how the wall frame is in the world, each change has
-/// its centroid there too.
-pub fn inventory(grid: &Grid, frame: Frame, method: &str, found: &[Found]) -> Inventory {
-    let world_from_wall = frame.wall_from_world().map(Transform::inverse);
+/// What the Z of centroids is measured from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Heights {
+    /// The origin of the frame: centroids are places in it.
+    Known,
+    /// The surface before, whose elevations nobody gave: centroids are off along Z by these, and so are no places in the world.
+    Unknown,
+}
+
+/// The inventory of what was found, numbered from 1 in the given order. Where it is known how the wall frame is in the world, and how high the
+/// centroids are in the wall frame, each change has its centroid in the world too.
+pub fn inventory(grid: &Grid, frame: Frame, method: &str, heights: Heights, found: &[Found]) -> Inventory {
+    let known = frame.wall_from_world().filter(|_| heights == Heights::Known);
+    let world_from_wall = known.map(Transform::inverse);
     let feature = |(number, found): (usize, &Found)| {
         let world = world_from_wall.as_ref().map(|transform| transform.apply(&found.centroid_m.into()).into());
         let values = columns(grid, method, number, found, world).cells();
@@ -153,7 +163,7 @@ mod tests {
             centroid_m: [0.0, 0.0, 0.05],
             points: (0..8).map(corner).collect(),
         };
-        let made = inventory(&grid, Frame::Wall, "raster", std::slice::from_ref(&found));
+        let made = inventory(&grid, Frame::Wall, "raster", Heights::Known, std::slice::from_ref(&found));
         let number = |name: &str| made.numbers(name).unwrap()[0];
         assert_eq!((number("id"), number("cells"), number("volume_sd_m3")), (Some(1.0), Some(6.0), None));
         let near = |name: &str, expected: f64| assert!((number(name).unwrap() - expected).abs() < 1e-9, "{name}");
@@ -167,10 +177,14 @@ mod tests {
         let turn = nalgebra::Matrix3::new(0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0);
         let wall_from_world = Transform::new("world", "wall", &turn, [500.0, 600.0, 70.0].into(), Vector3::zeros());
         let placed = Frame::Wall.at(Some(Georeference { crs: None, wall_from_world: Some(wall_from_world) }));
-        let made = inventory(&grid, placed, "raster", std::slice::from_ref(&found));
+        let made = inventory(&grid, placed, "raster", Heights::Known, std::slice::from_ref(&found));
         let world = ["x", "y", "z"].map(|axis| made.numbers(&format!("centroid_world_{axis}_m")).unwrap()[0]);
         // Z of the wall is X of the world.
         assert_eq!(world, [Some(500.05), Some(600.0), Some(70.0)]);
+        let made = inventory(&grid, placed, "raster", Heights::Unknown, std::slice::from_ref(&found));
+        for axis in ["x", "y", "z"] {
+            assert_eq!(made.numbers(&format!("centroid_world_{axis}_m")).unwrap(), [None]);
+        }
         let labels = labels(&grid, Frame::Wall, &[found]).unwrap();
         assert_eq!(labels.bands[0].values.iter().filter(|v| **v > 0.5).count(), 6);
     }

@@ -1,7 +1,7 @@
 //! Change detection, its scores, and limits of detection.
 //!
 //! `clusters` opens masks and joins cells, `limit` holds limits of detection on rasters, `found` turns clusters into an
-//! inventory, `facing` refuses steep faces in the world frame, `cloud` and `m3c2` compare point clouds, `voxels` compares occupied space, `score` compares what was found
+//! inventory, `facing` refuses steep faces in the world frame, `cloud` and `m3c2` compare point clouds, `voxels` compares occupied space, `tested` says how much of the face could be compared, `score` compares what was found
 //! with what is true, `assignment` pairs both one to one, `rates` averages over epochs, `detectability` tells what is found.
 
 pub mod assignment;
@@ -20,6 +20,7 @@ pub mod raster;
 pub mod rates;
 pub mod score;
 pub mod solid;
+pub mod tested;
 pub mod voxels;
 
 // A new stage is its file, its `mod` here and its row below.

@@ -2,6 +2,7 @@
 
 use std::sync::atomic::{AtomicU8, Ordering};
 
+use nalgebra::Vector3;
 use rayon::prelude::*;
 
 use crate::detection::clusters;
@@ -177,16 +178,29 @@ impl Voxels {
         [REFERENCE, COMPARISON, REFERENCE | COMPARISON].map(count)
     }
 
+    /// Columns of voxels with the reference in them, and with both surfaces.
+    pub fn columns(&self) -> [usize; 2] {
+        let columns = self.count[0] * self.count[1];
+        let mut seen = vec![0u8; columns];
+        for layer in self.flags.chunks(columns) {
+            seen.iter_mut().zip(layer).for_each(|(seen, flags)| *seen |= flags);
+        }
+        [REFERENCE, REFERENCE | COMPARISON].map(|bits| seen.iter().filter(|seen| **seen & bits == bits).count())
+    }
+
     /// The empty voxels that cannot be reached from outside over faces, in clusters over edges and corners, by first voxel; and at each place
     /// where the surfaces are apart and the outside reaches between them, how many voxels lie there.
-    pub fn enclosed(mut self) -> (Vec<Cluster>, Vec<usize>) {
+    ///
+    /// `outward` is the way out of the rock: along it, from voxel to voxel, it is told whose rock a voxel is in.
+    pub fn enclosed(mut self, outward: &Vector3<f64>) -> (Vec<Cluster>, Vec<usize>) {
+        let step = nearest_step(outward);
         self.flood();
         let open = self.open();
         let mut clusters = Vec::new();
         for first in 0..self.flags.len() {
             if self.flags[first] == 0 {
                 self.flags[first] = DONE;
-                clusters.push(self.cluster(self.position(first)));
+                clusters.push(self.cluster(self.position(first), step));
             }
         }
         (clusters, open)
@@ -238,7 +252,7 @@ impl Voxels {
         }
     }
 
-    fn cluster(&mut self, start: [usize; 3]) -> Cluster {
+    fn cluster(&mut self, start: [usize; 3], step: [isize; 3]) -> Cluster {
         let mut inside = vec![start];
         let mut next = 0;
         while let Some(at) = inside.get(next).copied() {
@@ -256,8 +270,8 @@ impl Voxels {
             inside.iter().flat_map(|at| around(*at)).filter(|near| !own.contains(near)).collect();
         let mut under = [0; 2];
         for at in &inside {
-            // Inside the rock a line up passes its surface an odd number of times: also under an overhang.
-            match self.passed(*at).map(|runs| runs % 2) {
+            // Inside the rock a line outwards passes its surface an odd number of times: also under an overhang.
+            match self.passed(*at, step).map(|runs| runs % 2) {
                 [1, 0] => under[0] += 1,
                 [0, 1] => under[1] += 1,
                 _ => {}
@@ -276,10 +290,14 @@ impl Voxels {
         Cluster { inside, shell: shell.len(), rim: all.difference(&within).count(), bridged, under }
     }
 
-    /// How often a line up from a voxel passes the reference and the comparison: runs of voxels that they occupy.
-    fn passed(&self, [x, y, z]: [usize; 3]) -> [usize; 2] {
+    /// How often a line outwards from a voxel passes the reference and the comparison: runs of voxels that they occupy.
+    fn passed(&self, from: [usize; 3], step: [isize; 3]) -> [usize; 2] {
         let (mut runs, mut last) = ([0; 2], 0);
-        for flags in (z + 1..self.count[2]).map(|z| self.flags[self.place([x, y, z])]) {
+        let next = |at: &[usize; 3]| {
+            let moved: [usize; 3] = std::array::from_fn(|axis| at[axis].wrapping_add_signed(step[axis]));
+            (0..3).all(|axis| moved[axis] < self.count[axis]).then_some(moved)
+        };
+        for flags in std::iter::successors(next(&from), next).map(|at| self.flags[self.place(at)]) {
             for (run, bit) in runs.iter_mut().zip([REFERENCE, COMPARISON]) {
                 *run += usize::from(flags & bit != 0 && last & bit == 0);
             }
@@ -287,6 +305,17 @@ impl Voxels {
         }
         runs
     }
+}
+
+/// The step to one of the 26 voxels around that is nearest to a direction. Also a step over an edge or a corner meets a voxel of each surface that
+/// it passes, since voxels that a triangle touches are occupied.
+fn nearest_step(direction: &Vector3<f64>) -> [isize; 3] {
+    let steps = (0..27).filter(|i| *i != 13).map(|i| [i % 3 - 1, i / 3 % 3 - 1, i / 9 - 1]);
+    let along = |step: &[isize; 3]| {
+        let step = Vector3::from(step.map(|s| s as f64));
+        step.dot(direction) / step.norm()
+    };
+    steps.max_by(|a, b| along(a).total_cmp(&along(b))).unwrap_or([0, 0, 1])
 }
 
 /// The 26 voxels around one that is not at the border.
@@ -300,15 +329,15 @@ fn around([x, y, z]: [usize; 3]) -> impl Iterator<Item = [usize; 3]> {
 /// # References
 /// Akenine-Moeller, T. (2001), Fast 3D triangle-box overlap testing, Journal of Graphics Tools 6, 29-33.
 fn meets(triangle: &[[f64; 3]; 3], centre: [f64; 3]) -> bool {
-    let v = triangle.map(|p| nalgebra::Vector3::from(p) - nalgebra::Vector3::from(centre));
-    let apart = |axis: nalgebra::Vector3<f64>| {
+    let v = triangle.map(|p| Vector3::from(p) - Vector3::from(centre));
+    let apart = |axis: Vector3<f64>| {
         let reach = 0.5 * (axis.x.abs() + axis.y.abs() + axis.z.abs());
         let [a, b, c] = [0, 1, 2].map(|corner| v[corner].dot(&axis));
         a.min(b).min(c) > reach || a.max(b).max(c) < -reach
     };
-    let units = [nalgebra::Vector3::x(), nalgebra::Vector3::y(), nalgebra::Vector3::z()];
+    let units = [Vector3::x(), Vector3::y(), Vector3::z()];
     let edges = [v[1] - v[0], v[2] - v[1], v[0] - v[2]];
-    let crossed = |edge: &nalgebra::Vector3<f64>| units.iter().any(|unit| apart(unit.cross(edge)));
+    let crossed = |edge: &Vector3<f64>| units.iter().any(|unit| apart(unit.cross(edge)));
     !units.iter().any(|unit| apart(*unit)) && !apart(edges[0].cross(&edges[1])) && !edges.iter().any(crossed)
 }
 
@@ -316,6 +345,7 @@ fn meets(triangle: &[[f64; 3]; 3], centre: [f64; 3]) -> bool {
 mod tests {
     use super::*;
     use rockface_core::artefact::Mesh;
+    use rockface_core::numerics::portable_math;
     use rockface_core::testing::height_mesh;
 
     /// A plane with a box-shaped niche of cells [-0.3, 0.3] x [-0.2, 0.2] down to `-depth`, its walls between two vertices.
@@ -325,7 +355,10 @@ mod tests {
     }
 
     fn clusters(before: &Mesh, after: &Mesh) -> Vec<Cluster> {
-        Voxels::new([Shape::Mesh(before), Shape::Mesh(after)], [&[], &[]], None, 0.05).unwrap().enclosed().0
+        Voxels::new([Shape::Mesh(before), Shape::Mesh(after)], [&[], &[]], None, 0.05)
+            .unwrap()
+            .enclosed(&Vector3::z())
+            .0
     }
 
     #[test]
@@ -342,6 +375,47 @@ mod tests {
         let back = clusters(&after, &before);
         assert_eq!((back[0].inside.len(), back[0].under), (cluster.inside.len(), [0, cluster.inside.len()]));
         assert!(clusters(&before, &before).is_empty());
+    }
+
+    /// A rough face with a niche of 0.9 x 0.7 m of this depth, or a bump where it is negative, that dips by an angle and looks to another, degrees; and
+    /// its unit normal.
+    fn dipping(depth: f64, dip_deg: f64, azimuth_deg: f64) -> (Mesh, Vector3<f64>) {
+        let inside = |x: f64, y: f64| x.abs() < 0.45 && y.abs() < 0.35;
+        let rough =
+            |x: f64, y: f64| 0.04 * portable_math::sin(7.0 * x + 3.0 * y) * portable_math::cos(5.0 * y - 2.0 * x);
+        let noise = |x: f64, y: f64| 0.02 * portable_math::sin(913.0 * x + 1237.0 * y + 50.0 * depth);
+        let surface = |x, y| rough(x, y) + noise(x, y) - if inside(x, y) { depth } else { 0.0 };
+        let mut mesh = height_mesh(120, [-1.503, 1.503, -1.503, 1.503], surface);
+        let turned = |angle_deg: f64, [a, b]: [f64; 2]| {
+            let (sine, cosine) =
+                (portable_math::sin(angle_deg.to_radians()), portable_math::cos(angle_deg.to_radians()));
+            [cosine * a - sine * b, sine * a + cosine * b]
+        };
+        let turn = |[x, y, z]: [f64; 3]| {
+            let [z, x] = turned(dip_deg, [z, x]);
+            let [x, y] = turned(azimuth_deg, [x, y]);
+            [x + 0.011, y + 0.017, z + 0.013]
+        };
+        mesh.vertices.iter_mut().for_each(|vertex| *vertex = turn(*vertex));
+        (mesh, turn([0.0, 0.0, 1.0]).into())
+    }
+
+    #[test]
+    fn losses_of_faces_of_any_dip_are_losses() {
+        let voxels = |before: &Mesh, after: &Mesh| {
+            Voxels::new([Shape::Mesh(before), Shape::Mesh(after)], [&[], &[]], None, 0.08).unwrap()
+        };
+        for dip_deg in (0..=180).step_by(12).map(f64::from) {
+            for azimuth_deg in [25.0, 200.0] {
+                for depth in [0.4, -0.4] {
+                    let (before, normal) = dipping(0.0, dip_deg, azimuth_deg);
+                    let found = voxels(&before, &dipping(depth, dip_deg, azimuth_deg).0).enclosed(&normal).0;
+                    let under = found.iter().fold([0; 2], |[a, b], c| [a + c.under[0], b + c.under[1]]);
+                    let [right, wrong] = if depth > 0.0 { under } else { [under[1], under[0]] };
+                    assert!(right > 100 && wrong * 50 < right, "{dip_deg} {azimuth_deg} {depth}: {under:?}");
+                }
+            }
+        }
     }
 
     /// A ledge with a roof 0.2 m thick that juts out over its floor, which is lowered by `depth` over [0, 0.3] x [-0.2, 0.2].
@@ -385,7 +459,7 @@ mod tests {
     #[test]
     fn a_box_is_counted_voxel_by_voxel() {
         let cuboid = rockface_rock::rockfall::ground_truth::Facets::cuboid(0.92, 0.72, 0.52);
-        let moved = cuboid.moved(|p| p + nalgebra::Vector3::repeat(0.04));
+        let moved = cuboid.moved(|p| p + Vector3::repeat(0.04));
         let mesh = Mesh {
             frame: rockface_core::artefact::Frame::Wall,
             vertices: moved.vertices,
@@ -396,7 +470,7 @@ mod tests {
         // 10 x 8 x 6 voxels meet the box; all but the outer layer are inside it.
         let shell = 10 * 8 * 6 - 8 * 6 * 4;
         assert_eq!(voxels.occupied(), [shell; 3]);
-        let found = voxels.enclosed().0;
+        let found = voxels.enclosed(&Vector3::z()).0;
         assert_eq!((found.len(), found[0].inside.len(), found[0].shell), (1, 8 * 6 * 4, shell));
         assert_eq!(found[0].under, [0, 0]);
     }

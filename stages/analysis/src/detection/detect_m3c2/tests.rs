@@ -99,14 +99,14 @@ fn clouds_that_do_not_meet_are_refused_with_a_way_out() {
     assert!(error.message.contains("core points") && error.hint.unwrap().contains("overlap"));
 }
 
-/// Points of a slab with a niche of 0.6 x 0.6 x 0.3 m, as one grid of points of about some distance, each a little aside of its place.
-fn thinned(spacing_m: f64, depth_m: f64) -> rockface_core::artefact::Cloud {
+/// Points of a slab with a square niche of half this side, as one grid of points of about some distance, each a little aside of its place.
+fn thinned(spacing_m: f64, depth_m: f64, half_m: f64) -> rockface_core::artefact::Cloud {
     let count = (4.0 / spacing_m) as u32;
     let aside = |i: u32| f64::from(i.wrapping_mul(2_654_435_761) >> 8) / f64::from(1u32 << 24) - 0.5;
     let point = |i: u32| {
         let [x, y] = [i % count, i / count].map(|place| (f64::from(place) + 0.5) * spacing_m - 2.0);
         let (x, y) = (x + 0.8 * spacing_m * aside(2 * i), y + 0.8 * spacing_m * aside(2 * i + 1));
-        [x, y, if x.abs() < 0.3 && y.abs() < 0.3 { -depth_m } else { 0.0 }]
+        [x, y, if x.abs() < half_m && y.abs() < half_m { -depth_m } else { 0.0 }]
     };
     rockface_core::artefact::Cloud::new(Frame::Wall, (0..count * count).map(point).collect())
 }
@@ -117,7 +117,7 @@ fn core_cells_finer_than_the_points_neither_lose_volume_nor_break_changes_apart(
         let host = TestHost::default();
         let with =
             json!({"core_spacing_m": spacing_m, "projection_radius_m": 0.12, "normal_radii_m": [0.3], "depth_m": 1});
-        let inputs = [("reference", thinned(0.06, 0.0).into()), ("comparison", thinned(0.06, 0.3).into())];
+        let inputs = [("reference", thinned(0.06, 0.0, 0.3).into()), ("comparison", thinned(0.06, 0.3, 0.3).into())];
         let made = run_stage::<DetectM3c2>(&host, &with, &inputs).unwrap().into_inner();
         let Artefact::Inventory(found) = &made["detections"] else { panic!("no inventory") };
         let volume = found.numbers("volume_m3").unwrap().into_iter().flatten().sum::<f64>();
@@ -130,7 +130,7 @@ fn core_cells_finer_than_the_points_neither_lose_volume_nor_break_changes_apart(
 fn many_cells_that_no_core_point_reaches_are_warned_of_with_a_spacing() {
     let host = TestHost::default();
     let with = json!({"core_spacing_m": 0.05, "projection_radius_m": 0.09, "normal_radii_m": [0.6], "least_points": 2});
-    let inputs = [("reference", thinned(0.2, 0.0).into()), ("comparison", thinned(0.06, 0.3).into())];
+    let inputs = [("reference", thinned(0.2, 0.0, 0.3).into()), ("comparison", thinned(0.06, 0.3, 0.3).into())];
     let _ = run_stage::<DetectM3c2>(&host, &with, &inputs);
     let told = host.warnings().join("\n");
     assert!(
@@ -161,4 +161,39 @@ fn cells_of_faces_along_the_view_count_as_no_steeper_than_five_times_their_plan(
     let steep = [0.995, 0.0, 0.1];
     assert!((volume(one_core(steep)) - 10.0).abs() < 1e-9, "{}", volume(one_core(steep)));
     assert!((z_beside(steep) - (10.0 - 3.0 * 0.995 / 0.2)).abs() < 1e-9, "{}", z_beside(steep));
+}
+
+/// What is found where the comparison has no points within a radius of four places of a niche of 1 m, and the warnings.
+fn with_holes(radius_m: f64) -> (f64, f64, Vec<String>) {
+    let mut after = thinned(0.06, 0.3, 0.5);
+    let is_hole = |[x, y, _]: &[f64; 3]| {
+        let (x, y) = (x.abs() - 0.15, y.abs() - 0.15);
+        x * x + y * y < radius_m * radius_m
+    };
+    after.points.retain(|point| !is_hole(point));
+    let host = TestHost::default();
+    let with = json!({"core_spacing_m": 0.1, "projection_radius_m": 0.12, "normal_radii_m": [0.3], "depth_m": 1});
+    let inputs = [("reference", thinned(0.06, 0.0, 0.5).into()), ("comparison", after.into())];
+    let made = run_stage::<DetectM3c2>(&host, &with, &inputs).unwrap().into_inner();
+    let Artefact::Inventory(found) = &made["detections"] else { panic!("no inventory") };
+    let Artefact::Table(summary) = &made["summary"] else { panic!("no summary") };
+    let share = summary.rows[0][summary.column("tested_share").unwrap()].number().unwrap();
+    (found.numbers("volume_m3").unwrap().into_iter().flatten().sum(), share, host.warnings())
+}
+
+#[test]
+fn cells_of_core_points_without_a_distance_count_to_the_next_that_has_one() {
+    let (whole, share, told) = with_holes(0.0);
+    assert!(told.is_empty() && share > 0.99, "{share} {told:?}");
+    let (holed, share, told) = with_holes(0.14);
+    assert!(
+        told.is_empty() && share > 0.99 && (holed / whole - 1.0).abs() < 0.03,
+        "{holed} of {whole}, {share} {told:?}"
+    );
+}
+
+#[test]
+fn wide_gaps_of_distances_beside_a_change_are_warned_of() {
+    let (_, share, told) = with_holes(0.24);
+    assert!(share < 0.99 && told.iter().any(|text| text.contains("without a distance touch the")), "{share} {told:?}");
 }

@@ -3,7 +3,7 @@
 use serde_json::{Value, json};
 
 use super::*;
-use rockface_core::artefact::{Artefact, Frame, Grid, Inventory};
+use rockface_core::artefact::{Artefact, Georeference, Grid, Inventory, Transform};
 use rockface_core::testing::{TestHost, run_stage};
 
 const GRID: Grid = Grid { columns: 20, rows: 12, cell_m: 0.02, left_m: -0.2, top_m: 0.12 };
@@ -187,4 +187,54 @@ fn cells_without_a_value_around_what_was_found_are_warned_of_beyond_a_share() {
     // 15 % of 80 cells are 12; of 20 cells it takes 10.
     assert_eq!([12, 13].map(|missing| missing_warned(8, missing)), [false, true]);
     assert_eq!([9, 10].map(|missing| missing_warned(2, missing)), [false, true]);
+}
+
+#[test]
+fn places_in_the_world_need_elevations() {
+    // The wall frame is at (500, 600, 70), and its Z is X of the world.
+    let turn = nalgebra::Matrix3::new(0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0);
+    let way = Transform::new("world", "wall", &turn, [500.0, 600.0, 70.0].into(), nalgebra::Vector3::zeros());
+    let frame = Frame::Wall.at(Some(Georeference { crs: None, wall_from_world: Some(way) }));
+    let difference = |frame| Raster { frame, ..scene(&[([1, 4, 1, 4], -0.1)]) };
+    let reference = Raster::single(GRID, frame, "elevation", "elevation", vec![3.0; GRID.cells()]);
+    let found = |frame, more: &[(&str, Artefact)]| {
+        let mut inputs = vec![("difference", difference(frame).into())];
+        inputs.extend(more.iter().cloned());
+        let host = TestHost::default();
+        let made = run_stage::<DetectRaster>(&host, &json!({}), &inputs).unwrap();
+        let Some(Artefact::Inventory(found)) = made.into_inner().remove("detections") else { panic!("none") };
+        (["x", "y", "z"].map(|axis| found.numbers(&format!("centroid_world_{axis}_m")).unwrap()[0]), host.warnings())
+    };
+    let (world, told) = found(frame, &[("reference", reference.into())]);
+    assert!(told.is_empty() && (world[0].unwrap() - 502.95).abs() < 1e-6, "{world:?} {told:?}");
+    let (world, told) = found(frame, &[]);
+    assert_eq!(world, [None; 3]);
+    assert!(told.len() == 1 && told[0].contains("to `reference`"), "{told:?}");
+    assert!(found(Frame::Wall, &[]).1.is_empty());
+}
+
+#[test]
+fn a_survey_of_a_part_of_the_face_is_told_with_its_share() {
+    let told = |tested: usize, with_reference: bool| {
+        let mut difference = scene(&[]);
+        difference.bands[0].values[tested..].fill(f32::NAN);
+        // The face fills 200 of the 240 cells.
+        let mut reference = Raster::single(GRID, Frame::Wall, "elevation", "elevation", vec![3.0; GRID.cells()]);
+        reference.bands[0].values[200..].fill(f32::NAN);
+        let mut inputs: Vec<(&str, Artefact)> = vec![("difference", difference.into())];
+        inputs.extend(with_reference.then(|| ("reference", reference.into())));
+        let host = TestHost::default();
+        let made = run_stage::<DetectRaster>(&host, &json!({}), &inputs).unwrap().into_inner();
+        let Artefact::Table(summary) = &made["summary"] else { panic!("no summary") };
+        let number = |name: &str| summary.rows[0][summary.column(name).unwrap()].number().unwrap();
+        assert_eq!(number("detections").to_bits(), 0.0f64.to_bits());
+        assert!((number("tested_m2") - tested as f64 * 4e-4).abs() < 1e-9);
+        (number("tested_share"), host.warnings())
+    };
+    for (tested, share, warns) in [(200, 1.0, false), (182, 0.91, false), (178, 0.89, true), (6, 0.03, true)] {
+        let (found, warnings) = told(tested, true);
+        assert!((found - share).abs() < 1e-9 && warnings.is_empty() != warns, "{tested}: {found} {warnings:?}");
+    }
+    let (share, warnings) = told(60, false);
+    assert!((share - 0.25).abs() < 1e-9 && warnings.is_empty(), "{share} {warnings:?}");
 }
