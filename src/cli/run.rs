@@ -124,7 +124,7 @@ impl RunArgs {
         };
         let (summary, finished) = run::execute_and_tell(&mut plan, &store, &options, &stop, &mut observer, &about)
             .inspect_err(|_| store.leave())?;
-        let told = Told::of(&finished, &summary);
+        let told = Told::of(&finished, &plan, &summary);
         let is_uploaded = upload(&store, &stop);
         if let Some(question) = question.filter(|_| is_uploaded) {
             let ended = Ended { summary: &summary, told: &told, finished: &finished };

@@ -11,7 +11,7 @@ use super::source::Source;
 use super::steps::Linker;
 use super::{Links, ReportError, render};
 use rockface_core::Look;
-use rockface_engine::history::{PastRun, REPORT_FILE, Row, RunContents, compare};
+use rockface_engine::history::{PastRun, REPORT_FILE, Row, RunContents, compare, folded};
 use rockface_engine::watch::duration;
 
 /// Headlines of a run that are shown.
@@ -78,7 +78,7 @@ fn run(run: &PastRun, look: &'static dyn Look) -> RunView {
         pipeline: run.manifest.pipeline.name.clone(),
         status: run.manifest.status.clone(),
         wall: duration(run.manifest.wall_s),
-        headlines: run.manifest.headlines.iter().take(LINES).cloned().collect(),
+        headlines: folded(&run.manifest.headlines, &run.manifest.executed()).into_iter().take(LINES).collect(),
     }
 }
 

@@ -1,6 +1,7 @@
 //! Past runs: what their folders tell, which there are, and how two of them differ.
 
 mod archive;
+mod chosen;
 mod compare;
 mod contents;
 mod file_names;
@@ -15,6 +16,7 @@ mod torn;
 use std::path::{Path, PathBuf};
 
 pub use archive::{ARCHIVE_MARK, Archived, Contents, archive};
+pub use chosen::{Chosen, Ran, chosen, folded, headline, ranks};
 pub use compare::{Comparison, Row, compare};
 pub use contents::RunContents;
 pub use file_names::{CRATE_FILE, LAYOUT_FILE, LOG_FILE, MANIFEST_FILE, PIPELINE_FILE, POINTS_FILE, REPORT_FILE};
