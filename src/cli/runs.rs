@@ -224,6 +224,7 @@ fn compare(runs: &[PastRun], format: Format, all: bool) -> Result<(), CliError> 
         let mut cells = vec![what.to_owned(), row.name.clone()];
         cells.extend(row.values.iter().map(|value| match value.as_ref() {
             Some(Value::Number(number)) if as_shown => number.as_f64().map_or_else(String::new, short),
+            Some(Value::String(text)) if as_shown => history::with_short_digest(text),
             other => shown(other),
         }));
         let difference =
