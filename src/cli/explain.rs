@@ -6,7 +6,7 @@ use clap::Args;
 use rockface_core::Registry;
 use serde_json::{Value, json};
 
-use super::{CliError, PipelineArgs, beside, say};
+use super::{CliError, PipelineArgs, beside, expanded, say};
 use rockface_engine::diagnostic;
 use rockface_engine::diagnostic::nearest;
 use rockface_engine::explain::{Answers, Cause, Change, Explanation, Former, explain};
@@ -35,6 +35,7 @@ pub struct ExplainArgs {
 impl ExplainArgs {
     /// Prints why the instance would run, for people or as JSON.
     pub fn run(mut self, registry: &Registry) -> Result<(), CliError> {
+        self.pipeline.former_runs.clone_from(&self.runs);
         self.pipeline.take()?;
         let pipeline = self.pipeline.load(registry)?;
         let label = wanted(&self.step)?;
@@ -45,8 +46,7 @@ impl ExplainArgs {
         let (mut plan, store) = self.pipeline.look(registry, &pipeline, &self.pipeline.target)?;
         if !(0..plan.instances.len()).any(|instance| plan.step(instance).name == name) {
             // No target needs it: explained as if it were one.
-            plan = rockface_engine::plan::plan(&pipeline, &[name.to_owned()], registry.stages(), &store)
-                .map_err(CliError::Pipeline)?;
+            plan = expanded(self.pipeline.resolved(registry, &pipeline, &[name.to_owned()])?, &pipeline, &store)?;
         }
         let instance = one_instance(&plan, &label)?;
         let answers = Answers::new(&plan, &store);
@@ -177,6 +177,7 @@ fn headline(plan: &Plan, cause: &Cause, first: bool) -> String {
     match (&cause.former, first) {
         (None, true) => format!("{label}: no record of stage `{stage}` exists"),
         (None, false) => format!("{label} made that input; no record of what made the former input exists"),
+        (Some(former), true) if cause.is_own => format!("{label}: against {}, which it had before", named(former)),
         (Some(former), true) => {
             format!("{label}: against {}, the closest of {} on record of `{stage}`", named(former), cause.records)
         }
@@ -218,7 +219,7 @@ fn print_json(plan: &Plan, answers: &Answers, told: &Explanation) {
         let former = cause.former.as_ref();
         let changes = former.map_or(&[][..], |former| &former.changes);
         json!({
-            "step": plan.step(cause.instance).name, "point": plan.point(cause.instance), "records": cause.records,
+            "step": plan.step(cause.instance).name, "point": plan.point(cause.instance), "records": cause.records, "own_record": cause.is_own,
             "former_key": former.map(|former| former.key), "former_run": former.and_then(|former| former.run.as_ref()),
             "changes": changes.iter().map(change).collect::<Vec<_>>(),
         })

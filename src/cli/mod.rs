@@ -6,6 +6,7 @@ mod completions;
 mod expected_work;
 mod explain;
 mod export;
+mod former;
 mod gc;
 mod graph;
 mod init;
@@ -45,6 +46,7 @@ use rockface_cache::{Store, StoreError};
 use rockface_core::Registry;
 
 pub use candidates::answer;
+use former::expanded;
 use output::{complain, say};
 pub use own_file::check_own;
 use own_file::write_own;
@@ -52,7 +54,7 @@ use rockface_engine::PHASE;
 use rockface_engine::diagnostic::Diagnostics;
 use rockface_engine::history::HistoryError;
 use rockface_engine::pipeline::{Overrides, Pipeline};
-use rockface_engine::plan::Plan;
+use rockface_engine::plan::{Graph, Plan};
 use rockface_engine::run::RunError;
 
 /// Simulates photogrammetric rockfall monitoring: runs pipelines of stages and caches every output.
@@ -143,6 +145,13 @@ struct PipelineArgs {
     /// Override the pipeline's seed.
     #[arg(long, value_name = "N", value_parser = seed, allow_hyphen_values = true)]
     seed: Option<u64>,
+    /// For an input file that is gone, go by the digest it had in the last run of this pipeline that read it: steps that read it are taken from
+    /// the store, and one that has to be computed fails.
+    #[arg(long)]
+    recorded_inputs: bool,
+    /// The folder of the runs that input files are looked up in, if it is not the one beside the pipeline.
+    #[arg(skip)]
+    former_runs: Option<PathBuf>,
     /// The store of results; by default `.rockface/store` beside the pipeline.
     #[arg(long, value_name = "DIR", env = "ROCKFACE_STORE", value_parser = folder_or_nothing())]
     store: Option<PathBuf>,
@@ -202,7 +211,7 @@ impl PipelineArgs {
         targets: &[String],
     ) -> Result<(Plan, Store), CliError> {
         let _plan = tracing::trace_span!(target: PHASE, "plan").entered();
-        let resolve = || rockface_engine::plan::resolve(pipeline, targets, registry.stages());
+        let resolve = || self.resolved(registry, pipeline, targets);
         // A store that is there is read meanwhile.
         let (graph, opened) = if Store::is_at(&self.store_dir()) {
             std::thread::scope(|scope| {
@@ -212,21 +221,27 @@ impl PipelineArgs {
         } else {
             (resolve(), None)
         };
-        let graph = graph.map_err(CliError::Pipeline)?;
+        let graph = graph?;
         pipeline.document.steps = Vec::new();
         let store = opened.unwrap_or_else(|| self.open_store())?;
         self.remote.attach(&store, false)?;
-        let plan = rockface_engine::plan::expand(graph, pipeline, &store).map_err(CliError::Pipeline)?;
-        Ok((plan, store))
+        Ok((expanded(graph, pipeline, &store)?, store))
     }
 
     /// [`PipelineArgs::plan`] for what only looks: where there is no store, none is made.
     fn look(&self, registry: &Registry, pipeline: &Pipeline, targets: &[String]) -> Result<(Plan, Looked), CliError> {
-        let graph = rockface_engine::plan::resolve(pipeline, targets, registry.stages()).map_err(CliError::Pipeline)?;
+        let graph = self.resolved(registry, pipeline, targets)?;
         let store = Looked::open(&self.store_dir())?;
         self.remote.attach(&store, true)?;
-        let plan = rockface_engine::plan::expand(graph, pipeline, &store).map_err(CliError::Pipeline)?;
-        Ok((plan, store))
+        Ok((expanded(graph, pipeline, &store)?, store))
+    }
+
+    /// The graph for these targets, with what runs know of input files.
+    fn resolved(&self, registry: &Registry, pipeline: &Pipeline, targets: &[String]) -> Result<Graph, CliError> {
+        let resolved = rockface_engine::plan::resolve(pipeline, targets, registry.stages());
+        let mut graph = resolved.map_err(CliError::Pipeline)?;
+        graph.former = Some(self.former_inputs(&graph.name));
+        Ok(graph)
     }
 
     fn open_store(&self) -> Result<Store, CliError> {

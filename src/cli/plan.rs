@@ -40,6 +40,14 @@ impl PlanArgs {
         for (label, text) in tools::behind(&plan, &store, answers.hits()).changed {
             complain(&format!("warning: {label}: {text}"));
         }
+        for (instance, answer) in answers.list().iter().enumerate() {
+            let files = plan.instances[instance].params.files.values().flatten();
+            let gone = files.filter(|file| file.gone_since.is_some() && matches!(answer, Answer::Runs(_)));
+            gone.for_each(|file| {
+                let (label, path) = (plan.label(instance), file.path.display());
+                complain(&format!("warning: {label} has to be computed and would fail: {path} is not there"));
+            });
+        }
         let is_timed = answers.list().iter().any(|answer| answer.is_open()) || !unknown(&plan).is_empty();
         let times = if is_timed { OnRecord::new(&store) } else { OnRecord::default() };
         if self.json {

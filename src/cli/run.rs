@@ -80,6 +80,7 @@ impl RunArgs {
     /// Runs the pipeline, or tells the result of the same command last time if nothing it depends on has changed.
     pub fn run(mut self, registry: &Registry) -> Result<(), CliError> {
         let begun = std::time::Instant::now();
+        self.pipeline.former_runs.clone_from(&self.runs);
         let former = self.pipeline.take()?;
         if self.require_same && former.is_none() {
             let told = "--require-same holds a repetition against the run it repeats: give the run.json of that run in place of a pipeline";
@@ -96,7 +97,8 @@ impl RunArgs {
         self.programs.check(registry, &pipeline, &self.pipeline.target)?;
         let (mut plan, store) = self.pipeline.plan(registry, &mut pipeline, &self.pipeline.target)?;
         if self.rehash {
-            for file in plan.instances.iter().flat_map(|instance| instance.params.files.values().flatten()) {
+            let files = plan.instances.iter().flat_map(|instance| instance.params.files.values().flatten());
+            for file in files.filter(|file| file.gone_since.is_none()) {
                 store.rehash_file(&file.path)?;
             }
             plan = rockface_engine::plan::expand(plan.graph, &pipeline, &store).map_err(CliError::Pipeline)?;
@@ -124,7 +126,7 @@ impl RunArgs {
         };
         let (summary, finished) = run::execute_and_tell(&mut plan, &store, &options, &stop, &mut observer, &about)
             .inspect_err(|_| store.leave())?;
-        let told = Told::of(&finished, &summary);
+        let told = Told::of(&finished, &plan, &summary);
         let is_uploaded = upload(&store, &stop);
         if let Some(question) = question.filter(|_| is_uploaded) {
             let ended = Ended { summary: &summary, told: &told, finished: &finished };
@@ -173,6 +175,7 @@ impl RunArgs {
         if self.json
             || self.verbose
             || self.rehash
+            || self.pipeline.recorded_inputs
             || self.trace.is_some()
             || self.programs.are_refused()
             || is_repetition

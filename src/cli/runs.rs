@@ -130,9 +130,9 @@ const LINE_HEAD: [&str; 7] = ["run", "status", "ran", "cached", "time", "", "res
 fn line(run: &PastRun) -> Vec<String> {
     let [executed, cached, _] = run.manifest.counts();
     let pinned = if run.pinned { "pinned" } else { "" };
-    let first = run.manifest.headlines.first().cloned().unwrap_or_default();
+    let result = run.manifest.headline().unwrap_or_default().to_owned();
     let (status, wall) = (run.manifest.status.clone(), duration(run.manifest.wall_s));
-    vec![run.name.clone(), status, executed.to_string(), cached.to_string(), wall, pinned.to_owned(), first]
+    vec![run.name.clone(), status, executed.to_string(), cached.to_string(), wall, pinned.to_owned(), result]
 }
 
 /// The columns of runs for programs.
@@ -151,7 +151,7 @@ fn record(run: &PastRun) -> Vec<String> {
         cached.to_string(),
         manifest.wall_s.to_string(),
         run.pinned.to_string(),
-        manifest.headlines.first().cloned().unwrap_or_default(),
+        manifest.headline().unwrap_or_default().to_owned(),
     ]
 }
 
@@ -224,6 +224,7 @@ fn compare(runs: &[PastRun], format: Format, all: bool) -> Result<(), CliError> 
         let mut cells = vec![what.to_owned(), row.name.clone()];
         cells.extend(row.values.iter().map(|value| match value.as_ref() {
             Some(Value::Number(number)) if as_shown => number.as_f64().map_or_else(String::new, short),
+            Some(Value::String(text)) if as_shown => history::with_short_digest(text),
             other => shown(other),
         }));
         let difference =

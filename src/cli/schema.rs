@@ -165,7 +165,7 @@ fn step(stage: &dyn AnyStage) -> Value {
                 "retries": {"type": "integer", "minimum": 0, "maximum": 100},
                 "title": {"type": "string", "description": "Its heading in reports."},
                 "doc": {"type": "string", "description": "What reports say of it."},
-                "log": log_level("How much the log of a run shows of it; by default the first four instances in full, the others in brief."),
+                "log": log_level("How much the log of a run shows of it; by default the first instance and the last three in full, the others in brief."),
             },
         },
     })

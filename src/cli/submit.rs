@@ -64,6 +64,7 @@ impl SubmitArgs {
         for (option, values) in [("--target", &given.target), ("--set", &given.set), ("--sweep", &given.sweep)] {
             told.extend(values.iter().flat_map(|value| [option.to_owned(), value.clone()]));
         }
+        told.extend(given.recorded_inputs.then(|| "--recorded-inputs".to_owned()));
         told.extend(given.seed.iter().flat_map(|seed| ["--seed".to_owned(), seed.to_string()]));
         told.extend(given.remote.told());
         told.extend(self.memory.told());

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use rockface_cache::Store;
 use serde::Serialize;
+use serde_json::Value;
 
 use super::media::{self, Budget, Medium};
 use super::number::Shown;
@@ -11,7 +12,7 @@ use super::source::Source;
 use super::steps::Linker;
 use super::{Links, ReportError, render};
 use rockface_core::Look;
-use rockface_engine::history::{PastRun, REPORT_FILE, Row, RunContents, compare};
+use rockface_engine::history::{PastRun, REPORT_FILE, Row, RunContents, compare, folded, with_short_digest};
 use rockface_engine::watch::duration;
 
 /// Headlines of a run that are shown.
@@ -78,15 +79,21 @@ fn run(run: &PastRun, look: &'static dyn Look) -> RunView {
         pipeline: run.manifest.pipeline.name.clone(),
         status: run.manifest.status.clone(),
         wall: duration(run.manifest.wall_s),
-        headlines: run.manifest.headlines.iter().take(LINES).cloned().collect(),
+        headlines: folded(&run.manifest.headlines, &run.manifest.executed()).into_iter().take(LINES).collect(),
     }
+}
+
+/// A value; the digest of a file is cut short.
+fn shown(value: &Value) -> Shown {
+    let text = value.as_str().map(with_short_digest).filter(|text| text.ends_with('…'));
+    text.map_or_else(|| Shown::of_json(value), |text| Shown { text, exact: None })
 }
 
 fn row(row: &Row) -> RowView {
     let none = || Shown { text: "\u{2013}".to_owned(), exact: None };
     RowView {
         name: row.name.clone(),
-        values: row.values.iter().map(|value| value.as_ref().map_or_else(none, Shown::of_json)).collect(),
+        values: row.values.iter().map(|value| value.as_ref().map_or_else(none, shown)).collect(),
         difference: row.difference().map(|difference| Shown::of_json(&difference.into())),
         unit: row.unit.clone().filter(|unit| unit != "1").unwrap_or_default(),
     }

@@ -26,6 +26,10 @@ pub struct Medium {
     pub caption: String,
     /// The instance and output it comes from.
     pub from: String,
+    /// The instance it comes from.
+    pub instance: String,
+    /// How many instances are not shown before this one.
+    pub gap: String,
     /// The stage that made it, and the beginning of the digest of the output it shows.
     pub made: String,
     /// A figure as it may stand in the page ([`Figure::inside_page`]).
@@ -115,6 +119,8 @@ pub fn of(source: &Source, done: &StepDone, linker: &Linker, budget: &mut Budget
             caption: preview.caption,
             made: made(done, output),
             from,
+            instance: done.label(),
+            gap: String::new(),
             svg: None,
             image: Some(data("image/png", &preview.png)),
             link: linker.output(done, &preview.port),
@@ -161,6 +167,8 @@ fn finished(
     let mut medium = Medium {
         caption: String::new(),
         from: format!("{}.{port}", done.label()),
+        instance: done.label(),
+        gap: String::new(),
         made: made(done, Some((port, output))),
         svg: None,
         image: None,

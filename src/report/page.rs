@@ -13,7 +13,7 @@ use super::source::Source;
 use super::steps::{self, Linker, Said, StepView};
 use super::tables::TableView;
 use super::{Links, graph};
-use rockface_engine::history::{POINTS_FILE, StepDone};
+use rockface_engine::history::{self, POINTS_FILE, Ran, StepDone};
 use rockface_engine::watch::duration;
 
 /// Headlines and warnings that are shown.
@@ -67,8 +67,19 @@ struct Headlines {
     title: String,
     step: String,
     folded: bool,
-    lines: Vec<Said>,
+    lines: Vec<Line>,
+    /// The last that was computed in this run, or else the last.
+    newest: Line,
     more: usize,
+}
+
+/// A headline.
+#[derive(Debug, Serialize)]
+struct Line {
+    label: String,
+    text: String,
+    /// How many are not shown before this one.
+    gap: String,
 }
 
 /// The tables of a target step.
@@ -104,7 +115,7 @@ pub fn of(source: &Source, links: Links) -> Page {
     let warnings = folded(gathered.warnings);
     let failures = folded(gathered.failures);
     let [executed, cached, missing] = manifest.counts();
-    let headlines = grouped(&manifest.headlines, &gathered.steps);
+    let headlines = grouped(&manifest.headlines, &gathered.steps, &manifest.executed());
     let (curves, more_curves) =
         source.graph.map_or_else(Default::default, |graph| curves::of(manifest, graph, &targets));
     let changed = manifest.overrides.set.iter().map(|set| format!("--set {set}"));
@@ -169,13 +180,15 @@ fn targets(source: &Source) -> Vec<String> {
 }
 
 /// Takes the tables of target steps to the top of the page, those of steps that nothing reads first. Where a step has many instances, the
-/// tables of the first stand there and the others are folded.
+/// tables of the newest stand there, the last that was computed in this run or else the last, and the others are folded.
 fn results(steps: &mut [StepView]) -> Vec<Result> {
     let wanted = steps.iter_mut().filter(|step| step.target && !step.tables.is_empty());
     let result = |step: &mut StepView| {
-        let mut tables = std::mem::take(&mut step.tables);
-        let first = tables.iter().take_while(|table| table.instance == tables[0].instance).count();
-        let folded = tables.split_off(first);
+        let all = std::mem::take(&mut step.tables);
+        let newest = all.iter().rev().find(|table| table.ran).or(all.last()).map(|table| table.instance.clone());
+        let (mut tables, folded): (Vec<_>, Vec<_>) =
+            all.into_iter().partition(|table| Some(&table.instance) == newest.as_ref());
+        tables.iter_mut().for_each(|table| table.gap.clear());
         (!step.end, Result { step: step.name.clone(), title: step.title.clone(), tables, folded, more: step.more })
     };
     let mut results: Vec<(bool, Result)> = wanted.map(result).collect();
@@ -186,24 +199,30 @@ fn results(steps: &mut [StepView]) -> Vec<Result> {
 /// Headlines above which those of one step are folded.
 const UNFOLDED: usize = 4;
 
-/// Headlines by step, those of many points folded.
-fn grouped(lines: &[String], steps: &[StepView]) -> Vec<Headlines> {
-    let mut groups: Vec<(String, Vec<Said>)> = Vec::new();
+/// Headlines by step, those of many points folded; `ran` are the instances that were computed in this run.
+fn grouped(lines: &[String], steps: &[StepView], ran: &Ran) -> Vec<Headlines> {
+    let mut groups: Vec<(String, Vec<&str>)> = Vec::new();
     let mut places: BTreeMap<String, usize> = BTreeMap::new();
-    for line in lines.iter().map(|line| said(line)) {
-        let step = line.label.split('[').next().unwrap_or_default().to_owned();
+    for line in lines {
+        let step = said(line, String::new()).label.split('[').next().unwrap_or_default().to_owned();
         let place = *places.entry(step.clone()).or_insert(groups.len());
         match groups.get_mut(place) {
             Some((_, lines)) => lines.push(line),
             None => groups.push((step, vec![line])),
         }
     }
-    let group = |(step, lines): (String, Vec<Said>)| Headlines {
-        title: steps.iter().find(|view| view.name == step).map_or_else(|| step.clone(), |view| view.title.clone()),
-        step,
-        folded: lines.len() > UNFOLDED,
-        more: lines.len().saturating_sub(LINES),
-        lines: lines.into_iter().take(LINES).collect(),
+    let group = |(step, lines): (String, Vec<&str>)| {
+        let ranks = history::ranks(&lines, ran);
+        let shown = history::chosen(lines.len(), LINES, |number| ranks[number]);
+        let newest = ranks.iter().rposition(|(is_cached, _)| !is_cached).unwrap_or(lines.len() - 1);
+        Headlines {
+            title: steps.iter().find(|view| view.name == step).map_or_else(|| step.clone(), |view| view.title.clone()),
+            step,
+            folded: lines.len() > UNFOLDED,
+            more: lines.len().saturating_sub(LINES),
+            newest: said(lines[newest], String::new()),
+            lines: shown.into_iter().map(|one| said(lines[one.number], steps::gap(one))).collect(),
+        }
     };
     groups.into_iter().map(group).collect()
 }
@@ -233,9 +252,9 @@ fn beginning(text: &str) -> String {
     format!("{}\n\u{2026} {} more bytes: pipeline.yaml in the run folder has them", &text[..end], text.len() - end)
 }
 
-fn said(line: &str) -> Said {
+fn said(line: &str, gap: String) -> Line {
     let (label, text) = line.split_once(": ").unwrap_or(("", line));
-    Said { label: label.to_owned(), text: text.to_owned() }
+    Line { label: label.to_owned(), text: text.to_owned(), gap }
 }
 
 /// `2026-11-21 19:05 UTC` of an RFC 3339 time.

@@ -13,7 +13,7 @@ use super::media::{self, Budget, Medium};
 use super::number::{Shown, bytes};
 use super::source::Source;
 use super::tables::{self, TableView};
-use rockface_engine::history::StepDone;
+use rockface_engine::history::{Chosen, StepDone, chosen};
 use rockface_engine::plan::GraphStep;
 use rockface_engine::watch::duration;
 
@@ -25,7 +25,7 @@ const READ: usize = 2000;
 const STEPS: usize = 300;
 /// Values of a parameter that are shown.
 const VALUES: usize = 6;
-/// Notes of a step that are shown.
+/// Notes of a step that are shown, the newest among them.
 const NOTES: usize = 12;
 /// Files of a step that are listed.
 const FILES: usize = 24;
@@ -65,21 +65,21 @@ pub struct StepView {
     pub share: f64,
     /// Bytes of what it made.
     pub size: String,
-    /// Pictures of the first instances.
+    /// Pictures of the first and the last instances, and of what was computed in this run.
     pub media: Vec<Medium>,
-    /// Tables of the first instances.
+    /// Tables of the same instances.
     pub tables: Vec<TableView>,
     /// Instances whose pictures and tables are not shown.
     pub more: usize,
     /// The metrics it logged, in the order they were first met.
     pub metrics: Vec<MetricView>,
-    /// The notes and headlines it logged, the first few.
+    /// The notes and headlines it logged, a few of them.
     pub notes: Vec<Said>,
     /// Notes that are not shown.
     pub more_notes: usize,
     /// Its parameters with their values in this run.
     pub parameters: Vec<ParameterView>,
-    /// The outputs of its instances, the first few.
+    /// The outputs of its instances, a few of them.
     pub files: Vec<FileView>,
     /// Files that are not listed.
     pub more_files: usize,
@@ -258,13 +258,33 @@ pub fn gather(linker: &Linker, targets: &[String], budget: &mut Budget) -> Gathe
     for wanted in [true, false] {
         for (view, (_, places)) in gathered.steps.iter_mut().zip(&order).filter(|(view, _)| view.target == wanted) {
             view.share = if longest > 0.0 { 100.0 * view.wall_s / longest } else { 0.0 };
-            for done in places.iter().take(SHOWN).map(|place| &all[*place]) {
-                view.media.extend(media::of(linker.source, done, linker, budget));
-                view.tables.extend(tables::of(linker.source, done, linker));
+            let shown = shown(all, places, SHOWN);
+            // The newest are the last to be left out where the pictures are too many bytes.
+            let made = |one: &Chosen| media::of(linker.source, &all[places[one.number]], linker, budget);
+            let mut media: Vec<Vec<Medium>> = shown.iter().rev().map(made).collect();
+            media.reverse();
+            for (one, media) in shown.into_iter().zip(media) {
+                let (gap, media) = (gap(one), media.into_iter());
+                let tables = tables::of(linker.source, &all[places[one.number]], linker).into_iter();
+                view.media.extend(media.map(|medium| Medium { gap: gap.clone(), ..medium }));
+                view.tables.extend(tables.map(|table| TableView { gap: gap.clone(), ..table }));
             }
         }
     }
     gathered
+}
+
+/// The instances of a step, by their places in the manifest, that are shown where there is room for so many.
+fn shown(all: &[StepDone], places: &[usize], room: usize) -> Vec<Chosen> {
+    chosen(places.len(), room, |number| all[places[number]].status != "executed")
+}
+
+/// What stands before an instance that does not follow the one shown before it.
+pub fn gap(one: Chosen) -> String {
+    match one.left_out {
+        0 => String::new(),
+        left_out => format!("… {left_out} more {}", if one.number == left_out { "before" } else { "between" }),
+    }
 }
 
 fn step(linker: &Linker, name: &str, instances: &[&StepDone]) -> StepView {
@@ -280,6 +300,8 @@ fn step(linker: &Linker, name: &str, instances: &[&StepDone]) -> StepView {
         link: linker.output(done, port),
     };
     let written = linker.written.get(name);
+    let outputs: Vec<_> = outputs().collect();
+    let listed = chosen(outputs.len(), FILES, |number| outputs[number].0.status != "executed");
     StepView {
         name: name.to_owned(),
         title: written.and_then(|step| step.title.clone()).unwrap_or_else(|| name.to_owned()),
@@ -296,7 +318,7 @@ fn step(linker: &Linker, name: &str, instances: &[&StepDone]) -> StepView {
         wall: duration(wall_s),
         wall_s,
         share: 0.0,
-        size: bytes(outputs().map(|(_, _, output)| output.bytes).fold(0, u64::saturating_add)),
+        size: bytes(outputs.iter().map(|(_, _, output)| output.bytes).fold(0, u64::saturating_add)),
         media: Vec::new(),
         tables: Vec::new(),
         more: instances.len().saturating_sub(SHOWN),
@@ -304,8 +326,8 @@ fn step(linker: &Linker, name: &str, instances: &[&StepDone]) -> StepView {
         more_notes: 0,
         notes: Vec::new(),
         parameters: parameters(instances),
-        files: outputs().take(FILES).map(file).collect(),
-        more_files: outputs().count().saturating_sub(FILES),
+        files: listed.into_iter().map(|one| file(outputs[one.number])).collect(),
+        more_files: outputs.len().saturating_sub(FILES),
         sources: sources(instances),
     }
 }
@@ -321,20 +343,22 @@ impl StepView {
 
     /// Takes in what its instances said; warnings go to the list of all.
     fn say(&mut self, source: &Source, places: &[usize], warnings: &mut Vec<Said>) {
-        for place in places.iter().take(READ) {
-            let label = source.manifest.steps[*place].label();
-            for entry in source.entries(*place) {
+        let all = &source.manifest.steps;
+        let mut notes = Vec::new();
+        for place in shown(all, places, READ).into_iter().map(|one| places[one.number]) {
+            let label = all[place].label();
+            for entry in source.entries(place) {
                 let said = |text| Said { label: label.clone(), text };
                 match entry {
-                    Entry::Note { text } | Entry::Headline { text } if self.notes.len() < NOTES => {
-                        self.notes.push(said(text));
-                    }
-                    Entry::Note { .. } | Entry::Headline { .. } => self.more_notes += 1,
+                    Entry::Note { text } | Entry::Headline { text } => notes.push((place, said(text))),
                     Entry::Warning { text } => warnings.push(said(text)),
                     Entry::Metric { .. } => {}
                 }
             }
         }
+        self.more_notes = notes.len().saturating_sub(NOTES);
+        let told = chosen(notes.len(), NOTES, |number| all[notes[number].0].status != "executed");
+        self.notes = told.into_iter().map(|one| notes[one.number].1.clone()).collect();
     }
 }
 

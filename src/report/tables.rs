@@ -1,10 +1,10 @@
 //! The first rows of tables and inventories.
 
 use rockface_cache::OutputRecord;
-use rockface_core::artefact::{Artefact, Kind, Table};
+use rockface_core::artefact::{Artefact, Cell, Kind, Table};
 use serde::Serialize;
 
-use super::number::Shown;
+use super::number::{Shown, cell};
 use super::source::Source;
 use super::steps::Linker;
 use rockface_engine::history::StepDone;
@@ -23,6 +23,10 @@ pub struct TableView {
     pub from: String,
     /// The instance that made it, as `step[axis=item]`.
     pub instance: String,
+    /// Whether that was computed in this run.
+    pub ran: bool,
+    /// How many instances are not shown before this one.
+    pub gap: String,
     /// Names of the columns; those of an upright table are its first column.
     pub columns: Vec<String>,
     /// Which columns hold numbers and nothing else.
@@ -35,13 +39,13 @@ pub struct TableView {
     pub row_count: usize,
     /// How many are not shown.
     pub hidden: usize,
-    /// Columns that do not fit on paper.
-    pub beyond_paper: usize,
+    /// Whether its columns do not fit on paper beside each other: each row is a block there.
+    pub broad: bool,
     /// The address of the whole table as CSV; `None` where the run folder has none.
     pub link: Option<String>,
 }
 
-/// Columns that fit on paper.
+/// Columns that fit on paper beside each other.
 const ON_PAPER: usize = 10;
 
 /// The tables one instance made.
@@ -62,6 +66,7 @@ fn view(source: &Source, done: &StepDone, port: &str, output: &OutputRecord, lin
     };
     let mut view = head(&table);
     view.instance = done.label();
+    view.ran = done.status == "executed";
     view.from = format!("{}.{port}", view.instance);
     view.link = linker.beside(done, port, "csv");
     Some(view)
@@ -70,8 +75,10 @@ fn view(source: &Source, done: &StepDone, port: &str, output: &OutputRecord, lin
 /// The first rows of a table; a low wide one upright.
 pub fn head(table: &Table) -> TableView {
     let upright = (1..=UPRIGHT.0).contains(&table.rows.len()) && table.columns.len() > UPRIGHT.1;
-    let shown: Vec<Vec<Shown>> =
-        table.rows.iter().take(ROWS).map(|row| row.iter().map(|cell| Shown::of(&cell.to_string())).collect()).collect();
+    let of_row = |row: &Vec<Cell>| {
+        table.columns.iter().zip(row).map(|(column, value)| cell(column, &value.to_string())).collect()
+    };
+    let shown: Vec<Vec<Shown>> = table.rows.iter().take(ROWS).map(of_row).collect();
     let numeric = |column: usize| {
         let cells = || shown.iter().map(|row| &row[column]);
         cells().any(|cell| cell.exact.is_some()) && cells().all(|cell| cell.exact.is_some() || cell.text.is_empty())
@@ -85,13 +92,15 @@ pub fn head(table: &Table) -> TableView {
     TableView {
         from: String::new(),
         instance: String::new(),
+        ran: false,
+        gap: String::new(),
         columns: table.columns.clone(),
         numeric,
         rows,
         upright,
         row_count: table.rows.len(),
         hidden: table.rows.len().saturating_sub(ROWS),
-        beyond_paper: if upright { 0 } else { table.columns.len().saturating_sub(ON_PAPER) },
+        broad: !upright && table.columns.len() > ON_PAPER,
         link: None,
     }
 }

@@ -400,3 +400,98 @@ fn outputs_of_very_many_points_stay_in_the_store() {
     let (code, _, err) = house.rockface(&["run", "p.yaml", "--outputs", "targets"]);
     assert!(code == Some(0) && house.path(".rockface/runs/latest/outputs/each/k=1000/table.csv").is_file(), "{err}");
 }
+
+/// A face in a file for each week, imported and gridded.
+const WEEKS: &str = "rockface: 1
+name: weeks
+axes: {week: {items: [w1, w2, w3]}}
+steps:
+  face: {stage: import-mesh, with: {path: \"${week}.ply\"}}
+  dem: {stage: rasterise-dem, in: {surface: face.mesh}, with: {cell_m: 0.2, method: tin}}
+";
+
+fn write_week(house: &House, name: &str, z: f64) {
+    let head = "ply\nformat ascii 1.0\nelement vertex 4\nproperty double x\nproperty double y\nproperty double z\n";
+    let text = format!(
+        "{head}element face 2\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 {z}\n1 1 {z}\n3 0 1 2\n3 1 3 2\n"
+    );
+    std::fs::write(house.path(name), text).unwrap();
+}
+
+/// A house with three weeks that were run.
+fn weeks() -> House {
+    let house = House::new(WEEKS);
+    for (week, z) in [("w1.ply", 0.1), ("w2.ply", 0.2), ("w3.ply", 0.3)] {
+        write_week(&house, week, z);
+    }
+    let (code, _, err) = house.rockface(&["run", "p.yaml"]);
+    assert_eq!(code, Some(0), "{err}");
+    house
+}
+
+#[test]
+fn a_replaced_file_is_held_against_the_one_it_replaces() {
+    let house = weeks();
+    let former = read_json(&house.path(".rockface/runs/latest/run.json"));
+    let is_third = |done: &&Value| done["step"] == "face" && done["point"]["week"] == "w3";
+    let done = former["steps"].as_array().unwrap().iter().find(is_third).unwrap();
+    let digest = done["files"][0]["blake3"].as_str().unwrap();
+    write_week(&house, "w3.ply", 0.4);
+    let (code, out, err) = house.rockface(&["explain", "p.yaml", "face[week=w3]"]);
+    assert_eq!(code, Some(0), "{err}");
+    assert!(
+        out.contains("which it had before") && out.contains(&format!("params.path.blake3: {}", &digest[..12])),
+        "{out}"
+    );
+    // And runs say which file of which instance changed.
+    let (code, _, err) = house.rockface(&["run", "p.yaml"]);
+    assert_eq!(code, Some(0), "{err}");
+    let (code, out, err) = house.rockface(&["runs", "compare", "weeks~1", "weeks"]);
+    assert_eq!(code, Some(0), "{err}");
+    let told: Vec<&str> = out.lines().filter(|line| line.contains("blake3")).collect();
+    assert!(
+        told.len() == 1
+            && told[0].contains("face[week=w3].path.blake3")
+            && told[0].contains(&format!("w3.ply {}", &digest[..12])),
+        "{out}"
+    );
+}
+
+#[test]
+fn results_of_a_file_that_is_gone_are_used_where_that_is_asked_for() {
+    let house = weeks();
+    std::fs::rename(house.path("w1.ply"), house.path("away")).unwrap();
+    let (code, _, err) = house.rockface(&["run", "p.yaml"]);
+    assert!(code == Some(2) && err.contains("--recorded-inputs") && err.contains("-weeks-"), "{err}");
+    let recorded = ["run", "p.yaml", "--recorded-inputs"];
+    let (code, out, err) = house.rockface(&recorded);
+    assert!(code == Some(0) && last_line(&out).contains("ran 0, cached 6"), "{out}{err}");
+    assert!(err.contains("w1.ply is not there") && err.contains("-weeks-"), "{err}");
+    let (code, out, err) = house.rockface(&["explain", "p.yaml", "face[week=w1]", "--recorded-inputs"]);
+    assert!(code == Some(0) && out.contains("face[week=w1] (import-mesh): hit"), "{out}{err}");
+    // A week more: the others are cached, the run after it knows the file too.
+    write_week(&house, "w4.ply", 0.5);
+    std::fs::write(house.path("p.yaml"), WEEKS.replace("w3]", "w3, w4]")).unwrap();
+    let (code, out, err) = house.rockface(&recorded);
+    assert!(code == Some(0) && last_line(&out).contains("ran 2, cached 6"), "{out}{err}");
+    let (code, out, err) = house.rockface(&recorded);
+    assert!(code == Some(0) && last_line(&out).contains("ran 0, cached 8"), "{out}{err}");
+    // What has to be read fails, and `plan` says so before.
+    let set = "steps.face.with.unit_m=0.001";
+    let (code, _, err) = house.rockface(&["plan", "p.yaml", "--recorded-inputs", "--set", set]);
+    assert!(code == Some(0) && err.contains("face[week=w1] has to be computed and would fail"), "{err}");
+    let (code, _, err) = house.rockface(&["run", "p.yaml", "--recorded-inputs", "--keep-going", "--set", set]);
+    assert!(code == Some(1) && err.contains("w1.ply` is not there, and this step has no result in the store"), "{err}");
+}
+
+#[test]
+fn a_file_of_another_item_is_not_suggested() {
+    let house = House::new(WEEKS);
+    write_week(&house, "w2.ply", 0.2);
+    write_week(&house, "w3.ply", 0.3);
+    let (code, _, err) = house.rockface(&["plan", "p.yaml"]);
+    assert!(code == Some(2) && err.contains("w1.ply") && !err.contains("did you mean"), "{err}");
+    std::fs::rename(house.path("w3.ply"), house.path("w1_.ply")).unwrap();
+    let (_, _, err) = house.rockface(&["plan", "p.yaml"]);
+    assert!(err.contains("there is a `w1_.ply`"), "{err}");
+}

@@ -55,7 +55,7 @@ fn explain_names_what_changed() {
     assert!(out.starts_with("dem (rasterise-dem): runs, no record has this recipe\n"), "{out}");
     assert!(out.ends_with("\n  params.cell_m: 0.05 -> 0.1\n"), "{out}");
     let run = std::fs::read_link(house.path(".rockface/runs/latest")).unwrap().display().to_string();
-    assert!(out.contains(&format!("… (in run {run}), the closest of 1 on record")), "{out}");
+    assert!(out.contains(&format!("… (in run {run}), which it had before")), "{out}");
     assert_eq!(json(&house, &[&set[..], &["--json"]].concat())["causes"][0]["former_run"], run);
     let (_, out, _) = house.rockface(&[&set[..], &["--runs", "elsewhere"]].concat());
     assert!(out.contains("… (no run folder names it), the closest"), "{out}");

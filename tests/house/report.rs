@@ -2,7 +2,7 @@
 
 use serde_json::Value;
 
-use crate::cli::House;
+use crate::cli::{House, last_line};
 
 const SEEN: &str = "rockface: 1
 name: seen
@@ -137,4 +137,38 @@ fn runs_are_compared_on_a_page() {
     let page = read(&house, "two.html");
     assert!(names.iter().all(|name| page.contains(name.as_str())) && page.contains(">seed<"), "runs and what differs");
     assert!(page.matches("data:image/png;base64,").count() >= 2, "pictures of both");
+}
+
+#[test]
+fn the_newest_item_of_an_axis_is_shown_and_not_the_first_ones_only() {
+    let weeks = |count: usize| {
+        let cells: Vec<String> = (1..=count).map(|week| format!("{:.2}", 0.05 + 0.01 * week as f64)).collect();
+        format!(
+            "rockface: 1\nname: weeks\naxes: {{cell: {{values: [{}]}}}}\nsteps:\n  face: {{stage: synthesise-face, with: {{width_m: 4, \
+             height_m: 3.6, spacing_m: 0.05}}}}\n  dem: {{stage: rasterise-dem, in: {{surface: face.mesh}}, with: {{cell_m: \
+             \"${{cell}}\", method: tin}}}}\n  noise: {{stage: describe-noise, with: {{scales_cells: [1, 2, 4]}}, in: {{raster: dem.raster}}}}\ntargets: [dem, noise]\n",
+            cells.join(", ")
+        )
+    };
+    let house = House::new(&weeks(7));
+    assert_eq!(house.rockface(&["run", "p.yaml"]).0, Some(0));
+    std::fs::write(house.path("p.yaml"), weeks(8)).unwrap();
+    let (code, out, err) = house.rockface(&["run", "p.yaml"]);
+    assert_eq!(code, Some(0), "{err}");
+    let told: Vec<&str> = out.lines().filter(|line| line.starts_with("dem")).collect();
+    let begins =
+        ["dem[cell=0.06]: ", "dem: … 5 more results between, in report.html", "dem[cell=0.12]: ", "dem[cell=0.13]: "];
+    assert!(told.len() == 4 && told.iter().zip(begins).all(|(line, begin)| line.starts_with(begin)), "{out}");
+    let (_, out, _) = house.rockface(&["runs", "list"]);
+    assert!(last_line(&out).contains("[cell=0.13]: "), "{out}");
+    let page = read(&house, ".rockface/runs/latest/report.html");
+    assert!(page.contains("8 results</strong>, the newest: <span class=\"label\">dem[cell=0.13]</span>"), "headlines");
+    let results = page.split_once("id=\"results\"").unwrap().1.split_once("id=\"steps\"").unwrap().0;
+    let place = |text: &str| results.find(text).unwrap_or_else(|| panic!("{text}"));
+    let table = |cell: &str| place(&format!("<figcaption><span>noise[cell={cell}].features</span>"));
+    // The newest table stands first, the others are folded.
+    assert!(table("0.13") < table("0.06") && table("0.06") < table("0.12"));
+    assert!(results.contains("… 4 more between") && results.contains("4 more instances are not shown here"));
+    assert!(!results.contains("noise[cell=0.09].features"));
+    assert!(page.contains("dem[cell=0.13].raster"), "a picture");
 }

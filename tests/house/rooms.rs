@@ -139,7 +139,7 @@ const ARROWS: &[(&[&str], &[&str], &str)] = &[
     (&["history"], &["pipeline"], "outputs of past runs are named as pipelines name them"),
     (&["history", "run", "explain", "drawing", "report", "cli"], &["plan"], "instances and their recipes"),
     (&["history", "run", "report", "cli"], &["watch"], "events, logs, and how times are written"),
-    (&["run", "report", "cli"], &["history"], "manifests and the names of the files of a run folder"),
+    (&["run", "explain", "report", "cli"], &["history"], "manifests and the names of the files of a run folder"),
     (&["report", "cli"], &["run"], "what is run; who writes the page at its end"),
     (&["run", "cli"], &["version"], "the manifest says which program it was"),
     (&["cli"], &["explain"], "`rockface explain`"),

@@ -139,7 +139,7 @@ impl Site {
         let (options, stop) = (Options { jobs: 1, ..Options::default() }, Arc::new(AtomicBool::new(false)));
         let done = execute_and_tell(&mut plan, &store, &options, &stop, &mut Events::default(), &about);
         let (summary, finished) = done.unwrap();
-        let told = Told::of(&finished, &summary);
+        let told = Told::of(&finished, &plan, &summary);
         let ended = Ended { summary: &summary, told: &told, finished: &finished };
         remember(&store, &self.question(), &plan, &ended, &pipeline.looks).unwrap();
         Ok((summary, finished))

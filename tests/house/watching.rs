@@ -84,7 +84,7 @@ fn the_log_is_the_same_at_any_jobs_and_when_all_was_cached() {
     assert!(run(&one, &[]).contains("ran 0"));
     assert_eq!(first, log_of(&one));
     let log = Log::read(&first);
-    // What was not kept is shown, the first four points of six by two.
+    // What was not kept is shown, the first point of six by two and the last three.
     for topic in
         ["/matched/depth", "/matched/depth/cloud", "/matched/depth/camera", "/surface/surface", "/dem/raster/image"]
     {

@@ -14,6 +14,7 @@ use std::path::Path;
 
 use rockface_cache::{Digest, Recipe, Record, Store};
 
+use crate::history::{self, PastRun, StepDone};
 use crate::plan::Plan;
 
 /// The answer of `explain` for one instance.
@@ -37,8 +38,10 @@ pub struct Cause {
     pub instance: usize,
     /// The records of its stage that were looked at: all, or for a producer those that made the former input.
     pub records: usize,
-    /// The closest of these; `None` when there is none.
+    /// The record that this very instance had in the last run that computed or used another, else the closest of all; `None` when there is none.
     pub former: Option<Former>,
+    /// Whether that is the record of this very instance.
+    pub is_own: bool,
 }
 
 /// The record an instance is compared with.
@@ -63,7 +66,8 @@ pub fn explain(plan: &Plan, store: &Store, answers: &Answers, asked: usize, runs
     }
     let recipe = answers.recipe(explained)?;
     let is_new = matches!(answers.list()[explained], Answer::Runs(Why::New) | Answer::Same(_));
-    let mut causes = if is_new { causes(plan, store, answers, explained, &recipe) } else { Vec::new() };
+    let past = if is_new { history::runs_of(runs, &plan.graph.name, LOOKED_AT) } else { Vec::new() };
+    let mut causes = if is_new { causes(plan, store, answers, explained, &recipe, &past) } else { Vec::new() };
     for former in causes.iter_mut().filter_map(|cause| cause.former.as_mut()) {
         former.run = former::run_naming(runs, &former.key);
     }
@@ -71,15 +75,45 @@ pub fn explain(plan: &Plan, store: &Store, answers: &Answers, asked: usize, runs
     Some(Explanation { asked, explained, recipe, causes, version })
 }
 
-/// Follows the first changed input to its producer, and on, until nothing upstream changed.
-fn causes(plan: &Plan, store: &Store, answers: &Answers, instance: usize, recipe: &Recipe) -> Vec<Cause> {
-    let mut causes = vec![most_like(store, instance, recipe, |_| true)];
+/// The runs of a pipeline, from the last on, in which the former record of an instance is looked for.
+const LOOKED_AT: usize = 5;
+
+/// Follows the first changed input to its producer, and on, until nothing upstream changed; `past` are runs of the pipeline, the last first.
+fn causes(
+    plan: &Plan,
+    store: &Store,
+    answers: &Answers,
+    instance: usize,
+    recipe: &Recipe,
+    past: &[PastRun],
+) -> Vec<Cause> {
+    let mut causes = vec![against(plan, store, instance, recipe, past, |_| true)];
     while let Some((producer, port, old)) = causes.last().and_then(|cause| changed_input(plan, cause)) {
         let Some(recipe) = answers.recipe(producer) else { break };
         let made_it = |record: &Record| record.outputs.get(port).is_some_and(|output| output.digest == old);
-        causes.push(most_like(store, producer, &recipe, made_it));
+        causes.push(against(plan, store, producer, &recipe, past, made_it));
     }
     causes
+}
+
+/// An instance against the record that it had in the last run that had another one; without such a run against the closest record.
+fn against(
+    plan: &Plan,
+    store: &Store,
+    instance: usize,
+    recipe: &Recipe,
+    past: &[PastRun],
+    counts: impl Fn(&Record) -> bool,
+) -> Cause {
+    let (step, point) = (&plan.step(instance).name, plan.point(instance));
+    let is_this = |done: &&StepDone| done.step == *step && done.point == point;
+    let keys = past.iter().filter_map(|run| run.manifest.steps.iter().find(is_this)?.key);
+    let own = keys.filter(|key| *key != recipe.key()).find_map(|key| {
+        let record = store.record(&key).filter(|record| record.recipe.stage == recipe.stage && counts(record))?;
+        Some(Former { key, run: None, changes: Parts::of(recipe).changes_from(&Parts::of(&record.recipe)) })
+    });
+    let closest = most_like(store, instance, recipe, counts);
+    if own.is_none() { closest } else { Cause { former: own, is_own: true, ..closest } }
 }
 
 /// The producer and the port of the first input that changed, and what it was before.
@@ -95,7 +129,7 @@ fn changed_input(plan: &Plan, cause: &Cause) -> Option<(usize, &'static str, Dig
 /// The record of the same stage with the fewest differing components; of equals the latest, then the least key.
 fn most_like(store: &Store, instance: usize, recipe: &Recipe, counts: impl Fn(&Record) -> bool) -> Cause {
     let now = Parts::of(recipe);
-    let mut cause = Cause { instance, records: 0, former: None };
+    let mut cause = Cause { instance, records: 0, former: None, is_own: false };
     let mut best = (usize::MAX, 0);
     for key in store.keys() {
         let Some(record) = store.record(&key).filter(|record| record.recipe.stage == recipe.stage && counts(record))

@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use serde::Serialize;
 use serde_json::Value;
 
-use super::{Manifest, PastRun};
+use super::{Manifest, PastRun, files};
 
 /// One parameter or number in each of the runs.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -34,8 +34,11 @@ pub struct Comparison {
 /// Puts runs side by side.
 pub fn compare(runs: &[PastRun]) -> Comparison {
     let parameters = side_by_side(runs.iter().map(|run| parameters(&run.manifest)));
-    let count = parameters.len();
-    let varying: Vec<Row> = parameters.into_iter().filter(Row::varies).collect();
+    let files = files::of(runs);
+    let equal =
+        parameters.iter().filter(|row| !row.varies()).count() + files.iter().filter(|rows| rows.is_empty()).count();
+    let mut varying: Vec<Row> = parameters.into_iter().filter(Row::varies).chain(files.into_iter().flatten()).collect();
+    varying.sort_by(|one, other| one.name.cmp(&other.name));
     let units: BTreeMap<String, String> = runs.iter().flat_map(|run| units(&run.manifest)).collect();
     let mut metrics = side_by_side(runs.iter().map(|run| metrics(&run.manifest)));
     for row in &mut metrics {
@@ -43,7 +46,7 @@ pub fn compare(runs: &[PastRun]) -> Comparison {
     }
     Comparison {
         runs: runs.iter().map(|run| run.name.clone()).collect(),
-        equal_parameters: count - varying.len(),
+        equal_parameters: equal,
         parameters: varying,
         metrics,
     }
@@ -83,7 +86,11 @@ fn parameters(manifest: &Manifest) -> Named {
             .entry(format!("{} (stage)", done.step))
             .or_default()
             .push(format!("{} {}", done.stage, done.version).into());
-        leaves(&done.parameters, &done.step, &mut |name, value| found.entry(name).or_default().push(value));
+        leaves(&done.parameters, &done.step, &mut |name, value| {
+            if !files::is_file(&name, &value) {
+                found.entry(name).or_default().push(value);
+            }
+        });
     }
     found.insert("program".to_owned(), vec![manifest.made_by().into()]);
     found.insert("seed".to_owned(), vec![manifest.seed.into()]);
@@ -96,7 +103,7 @@ fn one_or_list(mut values: Vec<Value>) -> Value {
     if values.len() == 1 { values.remove(0) } else { Value::Array(values) }
 }
 
-fn leaves(value: &Value, path: &str, tell: &mut impl FnMut(String, Value)) {
+pub(super) fn leaves(value: &Value, path: &str, tell: &mut impl FnMut(String, Value)) {
     match value {
         Value::Object(map) if !map.is_empty() => {
             map.iter().for_each(|(key, inner)| leaves(inner, &format!("{path}.{key}"), tell));

@@ -2,12 +2,14 @@
 
 use std::collections::BTreeMap;
 use std::path::{Component, Path, PathBuf};
+use std::sync::OnceLock;
 
 use rockface_cache::{Digest, NameError, SafePath};
 
-use super::Manifest;
 use super::sources::common_folder;
+use super::{Manifest, PastRun, runs_of};
 use crate::pipeline::{Copied, without_detours};
+use crate::plan::FindFormer;
 
 /// The folder of an archive with the input files.
 pub const INPUTS: &str = "inputs";
@@ -78,6 +80,26 @@ impl Manifest {
         let beside = beside.ok().filter(|copied| main.is_some_and(|main| copied.moved(&main).is_file()));
         beside.or(before)
     }
+}
+
+/// Runs of a pipeline that are looked through for an input file, the last first.
+const LOOKED_AT: usize = 10;
+
+/// Finds the digest that an input file had in the last run of a pipeline that read it, and the name of that run; runs are read when they are
+/// needed.
+pub fn find_inputs(runs: PathBuf, pipeline: String) -> Box<FindFormer> {
+    type Read = Vec<(String, BTreeMap<PathBuf, Digest>)>;
+    let read: OnceLock<Read> = OnceLock::new();
+    let straight = |path: &Path| std::path::absolute(path).ok().map(|path| without_detours(&path));
+    let files = move |run: PastRun| {
+        let files = run.manifest.input_files().into_iter();
+        (run.name, files.filter_map(|(path, digest)| Some((straight(&path)?, digest))).collect())
+    };
+    Box::new(move |path| {
+        let read = read.get_or_init(|| runs_of(&runs, &pipeline, LOOKED_AT).into_iter().map(files).collect());
+        let path = straight(path)?;
+        read.iter().find_map(|(run, files)| Some((*files.get(&path)?, run.clone())))
+    })
 }
 
 #[cfg(test)]

@@ -10,7 +10,7 @@ use rockface_cache::{Cost, Digest, Outputs, RecipeInput, SafePath};
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
-use super::HistoryError;
+use super::{HistoryError, Ran, headline};
 use crate::diagnostic::printable;
 use crate::pipeline::{Copied, Label};
 
@@ -249,6 +249,16 @@ impl Manifest {
         let count = |status: &str| self.steps.iter().filter(|done| done.status == status).count();
         let (executed, cached) = (count("executed"), count("cached"));
         [executed, cached, self.steps.len() - executed - cached]
+    }
+
+    /// The labels of the step instances that were executed.
+    pub fn executed(&self) -> Ran {
+        self.steps.iter().filter(|done| done.status == "executed").map(StepDone::label).collect()
+    }
+
+    /// The result that stands for the run in a list: see [`headline`].
+    pub fn headline(&self) -> Option<&str> {
+        headline(&self.headlines, &self.executed())
     }
 
     /// The step instances that failed, and why.

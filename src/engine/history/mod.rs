@@ -1,9 +1,11 @@
 //! Past runs: what their folders tell, which there are, and how two of them differ.
 
 mod archive;
+mod chosen;
 mod compare;
 mod contents;
 mod file_names;
+mod files;
 mod inputs;
 mod manifest;
 mod places;
@@ -15,9 +17,12 @@ mod torn;
 use std::path::{Path, PathBuf};
 
 pub use archive::{ARCHIVE_MARK, Archived, Contents, archive};
+pub use chosen::{Chosen, Ran, chosen, folded, headline, ranks};
 pub use compare::{Comparison, Row, compare};
 pub use contents::RunContents;
 pub use file_names::{CRATE_FILE, LAYOUT_FILE, LOG_FILE, MANIFEST_FILE, PIPELINE_FILE, POINTS_FILE, REPORT_FILE};
+pub use files::with_short_digest;
+pub use inputs::find_inputs;
 pub use manifest::{
     FORMAT, FileUsed, IncludedText, ItemValues, Manifest, Metric, Overridden, PartUsed, PipelineText, StepDone,
 };
@@ -216,6 +221,18 @@ pub fn list(runs: &Path) -> Result<(Vec<PastRun>, Vec<HistoryError>), HistoryErr
     }
     found.sort_by(|one, other| (&one.manifest.finished, &one.name).cmp(&(&other.manifest.finished, &other.name)));
     Ok((found, faults))
+}
+
+/// The last `most` runs of a pipeline in a folder of runs, by the name of the pipeline, the last first; those that cannot be read are left out.
+pub fn runs_of(runs: &Path, pipeline: &str, most: usize) -> Vec<PastRun> {
+    let link = format!("latest-{}", readable_name(pipeline));
+    let names = names(runs).unwrap_or_default();
+    // A run that had nothing to do points the link at a former folder, which so is the last.
+    let last = std::fs::read_link(runs.join(&link)).ok().and_then(|last| last.into_os_string().into_string().ok());
+    let last = last.filter(|last| names.contains(last));
+    let others =
+        names.iter().rev().filter(|name| latest_of(name).as_ref() == Some(&link) && Some(*name) != last.as_ref());
+    last.iter().chain(others).take(most).filter_map(|name| PastRun::open(&runs.join(name)).ok()).collect()
 }
 
 /// The link that points at the last run of a pipeline, by the name of a run folder; `None` for a name that no run gave it.

@@ -11,7 +11,7 @@ pub enum LogLevel {
     Full,
 }
 
-/// Instances of a step that are logged in full where nobody says otherwise: the first ones.
+/// Instances of a step that are logged in full where nobody says otherwise: the first one and the last ones.
 pub const IN_FULL: usize = 4;
 
 impl LogLevel {
@@ -28,8 +28,9 @@ impl LogLevel {
         }
     }
 
-    /// The level of an instance that has `before` others of its step before it, where the pipeline says nothing.
-    pub fn by_place(before: usize) -> Self {
-        if before < IN_FULL { Self::Full } else { Self::Brief }
+    /// The level of an instance that has `before` others of its step before it, of `count` together, where the pipeline says nothing: of the
+    /// items of an axis that grows the newest count.
+    pub fn by_place(before: usize, count: usize) -> Self {
+        if before == 0 || before + IN_FULL > count { Self::Full } else { Self::Brief }
     }
 }

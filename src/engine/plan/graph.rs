@@ -9,6 +9,7 @@ use rockface_core::artefact::Kind;
 use rockface_core::{AnyStage, Port, Ports};
 use serde_json::Value;
 
+use super::former::FormerInputs;
 use crate::diagnostic::Span;
 use crate::pipeline::{Axis, Base, INSIDE, LogLevel, Node, Used, Word};
 
@@ -38,6 +39,8 @@ pub struct Graph {
     pub targets: Vec<usize>,
     /// The uses of parts that some of the steps come from.
     pub uses: Vec<Used>,
+    /// What past runs know of input files that are gone, where whoever plans has looked for runs.
+    pub former: Option<Arc<FormerInputs>>,
 }
 
 impl Graph {

@@ -11,8 +11,9 @@ impl Plan {
         let mut levels = vec![LogLevel::Brief; self.instances.len()];
         for (step, mut numbers) in self.graph.steps.iter().zip(of_step) {
             numbers.sort_by_key(|number| &self.instances[*number].items);
+            let count = numbers.len();
             for (before, number) in numbers.into_iter().enumerate() {
-                levels[number] = step.log.unwrap_or_else(|| LogLevel::by_place(before));
+                levels[number] = step.log.unwrap_or_else(|| LogLevel::by_place(before, count));
             }
         }
         levels

@@ -11,6 +11,7 @@ use rockface_core::params::{Fault, Field, Kind};
 use serde_json::{Value, json};
 
 use super::graph::{Graph, GraphStep};
+use super::missing::Missing;
 use super::side_files;
 use super::sight::{Sight, one_file};
 use crate::diagnostic::{Diagnostic, Span, nearest};
@@ -49,6 +50,8 @@ pub struct InputFile {
     pub path: PathBuf,
     /// Its digest when the plan was made.
     pub digest: Digest,
+    /// The run that tells the digest, where the file itself is gone.
+    pub gone_since: Option<String>,
 }
 
 /// What a `${name}` stands for at the items of some axes.
@@ -122,7 +125,7 @@ pub fn check_known(graph: &Graph, step: &GraphStep, items: &BTreeMap<usize, usiz
     faults.iter().filter(is_known).map(|fault| told(&place, &with, fault)).collect()
 }
 
-fn fill(graph: &Graph, step: &GraphStep, items: &BTreeMap<usize, usize>) -> Result<Value, Vec<Diagnostic>> {
+pub(super) fn fill(graph: &Graph, step: &GraphStep, items: &BTreeMap<usize, usize>) -> Result<Value, Vec<Diagnostic>> {
     let Some(with) = &step.with else { return Ok(Value::Null) };
     filled(with, &|name| lookup(graph, items, name)).map_err(|mut faults| {
         // What is said of the columns says more than that a name stands for nothing.
@@ -293,7 +296,7 @@ impl Finder<'_> {
         let listed = match written.trim() {
             "" => Err("a path is needed, and this one is empty".to_owned()),
             _ if many => self.sight.list(&path).map(side_files::left_out),
-            _ => one_file(&path),
+            _ => one_file(&path).or_else(|why| self.former(&path).map(|_| vec![path.clone()]).ok_or(why)),
         };
         let checked =
             |paths: Vec<PathBuf>| paths.iter().try_for_each(|path| side_files::check(path, self.sight)).map(|()| paths);
@@ -307,7 +310,8 @@ impl Finder<'_> {
             }
             Err(message) => {
                 let span = self.step.with.as_ref().map_or(self.step.span, |with| with.locate(&self.path, false));
-                let fault = missing(span, &format!("step `{}`: {message}", self.step.name), written, &path);
+                let fault = Missing { graph: self.graph, step: self.step, parameter: &self.path, written, path: &path }
+                    .fault(span, &format!("step `{}`: {message}", self.step.name));
                 self.faults.push(self.with_parameter(fault, written));
                 Vec::new()
             }
@@ -329,7 +333,7 @@ impl Finder<'_> {
     /// The `.prj` of the same name beside a file; one that cannot be read, or is too long to be one, is a fault.
     fn beside(&mut self, file: &Path) -> Option<InputFile> {
         let paths = ["prj", "PRJ"].map(|extension| file.with_extension(extension));
-        let path = paths.into_iter().find(|path| self.sight.is_file(path))?;
+        let path = paths.into_iter().find(|path| self.sight.is_file(path) || self.former(path).is_some())?;
         // Before it is hashed: what has the name may be of any size.
         let most = SYSTEM_FILE_BYTES;
         let hashed = match std::fs::metadata(&path) {
@@ -347,45 +351,21 @@ impl Finder<'_> {
     }
 
     fn hashed(&self, path: PathBuf) -> Result<InputFile, String> {
-        let digest = self.sight.hash(&path)?;
         let name = path.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
-        Ok(InputFile { name, path, digest })
-    }
-}
-
-fn folder(path: &Path) -> String {
-    path.parent().unwrap_or(Path::new("")).display().to_string()
-}
-
-fn missing(span: Span, message: &str, written: &str, path: &Path) -> Diagnostic {
-    let name = path.file_name().map_or_else(|| written.to_owned(), |name| name.to_string_lossy().into_owned());
-    if written.trim().is_empty() || path.symlink_metadata().is_ok() {
-        // What was named is there: nothing beside it was meant instead.
-        return Diagnostic::at(span, message);
-    }
-    if written.contains(char::is_control) {
-        let hint = "in double quotes a backslash begins an escape: put single quotes around the path, or write `/`";
-        return Diagnostic::at(span, message).hint(hint);
-    }
-    let beside = path.parent().map(std::fs::read_dir);
-    let names: Vec<String> = match beside {
-        Some(Ok(entries)) => entries.flatten().map(|entry| entry.file_name().to_string_lossy().into_owned()).collect(),
-        _ => {
-            return Diagnostic::at(span, message).hint(format!(
-                "paths are relative to the folder of the pipeline file; there is no folder {}",
-                folder(path)
-            ));
+        if let Some((digest, run)) = self.former(&path) {
+            return Ok(InputFile { name, path, digest, gone_since: Some(run) });
         }
-    };
-    match crate::diagnostic::nearest(&name, &names.iter().map(String::as_str).collect::<Vec<_>>()) {
-        Some(near) => {
-            Diagnostic::at(span, message).hint(format!("there is a `{near}` in that folder; did you mean it?"))
-        }
-        None => Diagnostic::at(span, message).hint("paths are relative to the folder of the pipeline file"),
+        let digest = self.sight.hash(&path)?;
+        Ok(InputFile { name, path, digest, gone_since: None })
+    }
+
+    /// What stands for a file that is gone, if it is to.
+    fn former(&self, path: &Path) -> Option<(Digest, String)> {
+        self.graph.former.as_ref()?.in_place_of(path)
     }
 }
 
-fn value_at(value: &Value, path: &[String]) -> String {
+pub(super) fn value_at(value: &Value, path: &[String]) -> String {
     let found = path.iter().try_fold(value, |value, key| match value {
         Value::Array(items) => items.get(key.parse::<usize>().ok()?),
         other => other.get(key),

@@ -320,6 +320,7 @@ impl<'d> Resolver<'d> {
             steps,
             targets,
             uses: document.uses.clone(),
+            former: None,
         }
     }
 

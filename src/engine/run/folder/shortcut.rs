@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use super::made::{self, Made};
 use super::run_folder::point_latest;
+use crate::history::folded;
 use crate::plan::Plan;
 use crate::run::{Finished, RunError, Summary, tools};
 use crate::watch::Alike;
@@ -46,8 +47,9 @@ pub struct Told {
 
 impl Told {
     /// The summary of a run.
-    pub fn of(finished: &Finished, summary: &Summary) -> Self {
-        let headlines = folded(&finished.headlines);
+    pub fn of(finished: &Finished, plan: &Plan, summary: &Summary) -> Self {
+        let executed = summary.instances.iter().enumerate().filter(|(_, result)| result.executed);
+        let headlines = folded(&finished.headlines, &executed.map(|(instance, _)| plan.label(instance)).collect());
         let mut alike = Alike::default();
         let words = |text: &str| text.split_once(": ").map_or(text, |(_, words)| words).to_owned();
         let told = finished.warnings.iter().filter(|(_, text)| alike.is_told(&words(text))).take(NAMED);
@@ -66,23 +68,6 @@ impl Told {
             instances: summary.instances.len(),
         }
     }
-}
-
-/// Headlines of a step above which the rest is counted only.
-const OF_A_STEP: usize = 4;
-
-/// The headlines, those of a step of many instances cut short.
-fn folded(headlines: &[String]) -> Vec<String> {
-    let step = |line: &String| line.split([':', '[']).next().unwrap_or_default().to_owned();
-    let mut lines = Vec::new();
-    for group in headlines.chunk_by(|one, other| step(one) == step(other)) {
-        let shown = if group.len() > OF_A_STEP { OF_A_STEP - 1 } else { group.len() };
-        lines.extend_from_slice(&group[..shown]);
-        if shown < group.len() {
-            lines.push(format!("{}: {} more results, in report.html", step(&group[0]), group.len() - shown));
-        }
-    }
-    lines
 }
 
 /// What the run asked for by `question` would say if nothing is to be done and its folder is still in `runs`.
@@ -143,23 +128,4 @@ pub fn remember(
     store.sync()?;
     store.memory().remember_answer(question, &serde_json::json!(told), &grounds)?;
     Ok(())
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn many_results_of_a_step_are_cut_short() {
-        let line = |item: usize| format!("verdict[trial={item}]: accepted");
-        let mut lines: Vec<String> = (0..16).map(line).collect();
-        lines.push("rockfall: 12 pieces".to_owned());
-        let folded = folded(&lines);
-        assert_eq!(folded.len(), 5);
-        assert_eq!(
-            folded[2..],
-            [line(2), "verdict: 13 more results, in report.html".into(), "rockfall: 12 pieces".into()]
-        );
-        assert_eq!(super::folded(&lines[..4]), lines[..4]);
-    }
 }

@@ -424,11 +424,17 @@ fn attempt(
 /// The states of all input files.
 fn fingerprints(task: &Task) -> Result<Vec<Fingerprint>, Failure> {
     let look = |file: &InputFile| {
-        let meta = std::fs::metadata(&file.path)
-            .map_err(|error| StageError::new(format!("cannot read `{}`: {error}", file.path.display())))?;
+        let meta = std::fs::metadata(&file.path).map_err(|error| cannot_read(file, &error))?;
         Ok((meta.len(), meta.mtime(), meta.mtime_nsec(), meta.ctime(), meta.ctime_nsec(), meta.ino()))
     };
     task.params.files.values().flatten().map(look).collect()
+}
+
+fn cannot_read(file: &InputFile, error: &std::io::Error) -> StageError {
+    let path = file.path.display();
+    let Some(run) = &file.gone_since else { return StageError::new(format!("cannot read `{path}`: {error}")) };
+    let message = format!("`{path}` is not there, and this step has no result in the store that spares reading it");
+    StageError::new(message).hint(format!("put back the file that run {run} read (BLAKE3 {}…)", file.digest.short()))
 }
 
 /// An input file that changed while the stage read it must not be recorded under its former digest.
