@@ -140,7 +140,8 @@ pub fn whole_cloud() -> Cloud {
     let numbers =
         BTreeMap::from([("views".to_owned(), vec![2; count]), ("id".to_owned(), (0..count as u32).collect())]);
     let (normals, colours) = (vec![[0.0, 0.0, 1.0]; count], vec![[9, 8, 7]; count]);
-    Cloud { frame: Frame::World, points, normals, colours, numbers }
+    let values = BTreeMap::from([("difference".to_owned(), vec![-0.25; count])]);
+    Cloud { frame: Frame::World, points, normals, colours, numbers, values }
 }
 
 fn part(name: &str) -> Part {

@@ -1,6 +1,7 @@
 //! What a run folder tells: its manifest and the logs of its steps.
 
 use std::path::Path;
+use std::sync::atomic::AtomicBool;
 
 use rockface::report::{self, Links, Source};
 use rockface_cache::Store;
@@ -51,6 +52,6 @@ fn told(past: &PastRun, folder: &Path) {
     if let Ok(store) = Store::open(&folder.join("store")) {
         // Paths that fit into no archive are refused.
         let contents = Contents { inputs: true, outputs: true };
-        drop(archive(past, &store, contents, &folder.join("run.tar")));
+        drop(archive(past, &store, contents, &folder.join("run.tar"), &AtomicBool::new(false)));
     }
 }
