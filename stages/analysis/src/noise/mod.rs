@@ -20,6 +20,7 @@ pub mod spectrum;
 pub mod structure;
 pub mod stumps;
 pub mod surrogate;
+pub mod tested;
 pub mod transfer;
 pub mod two_samples;
 pub mod variogram;
