@@ -5,6 +5,7 @@ pub mod chain;
 pub mod classifier;
 pub mod descriptors;
 pub mod detrend;
+pub mod doubtful;
 pub mod envelope;
 pub mod learning;
 pub mod mahalanobis;
