@@ -89,7 +89,7 @@ mod tests {
             values[7] = 0.01;
         });
         assert_eq!(lone.len(), 2, "{lone:?}");
-        let many: Vec<f32> = vec![0.0; 5000];
-        assert!(doubts(&[("a", &many); 5])[0].contains(" and 2 more: "));
+        let many = vec![0.0f32; 5000];
+        assert!(doubts(&[("a", many.as_slice()); 5])[0].contains(" and 2 more: "));
     }
 }

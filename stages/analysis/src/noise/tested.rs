@@ -110,6 +110,9 @@ pub fn range(band: &Expectation, n: usize) -> String {
     format!("a perfect simulator would have {} to {}{silent}", band.low, band.high)
 }
 
+/// A median D2 is told where it is beyond its band by more than this factor: the band holds some 90 % of perfect simulators.
+const MARGIN: f64 = 1.25;
+
 /// A sentence where as many of the rasters are accepted as of a perfect simulator, but the median of their D2 is not what it would be; `None` otherwise.
 pub fn far_off(band: &Expectation, accepted: usize, d2: &[f64]) -> Option<String> {
     let median = quantile(d2, 0.5)?;
@@ -120,7 +123,7 @@ pub fn far_off(band: &Expectation, accepted: usize, d2: &[f64]) -> Option<String
     } else {
         "they lie nearer to the references than others of the same kind would: their spread is narrower than the real one"
     };
-    (enough && (median > high || median < low)).then(|| {
+    (enough && (median > MARGIN * high || MARGIN * median < low)).then(|| {
         format!("the median D2 of the rasters is {median:.1}, of a perfect simulator {low:.1} to {high:.1}; {why}")
     })
 }
