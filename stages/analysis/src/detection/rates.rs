@@ -3,6 +3,7 @@
 use rand::Rng;
 
 use super::score::{Counts, f1};
+use crate::noise::acceptance_rate::exact_interval;
 use rockface_core::numerics::quantile;
 use rockface_core::numerics::random::Key;
 
@@ -59,9 +60,63 @@ pub fn interval<T: Clone>(epochs: &[T], draws: &[Vec<usize>], number: impl Fn(&[
     Interval { value: number(epochs).unwrap_or(f64::NAN), ends: [end(0.025), end(0.975)] }
 }
 
+/// Rates nearer than this to 0 or 1 have too narrow an interval over draws of epochs: where all epochs are alike, it has no width at all.
+const NEAR_END: f64 = 0.05;
+
+/// Precision, recall or F1, by its place in [`Rates`], with its interval over the draws; near 0 and 1, and where all draws are alike, it is
+/// no narrower than that of the counts of all epochs together (Clopper and Pearson 1934; F1: that of the ends of both).
+pub fn rate_interval(
+    epochs: &[Counts],
+    draws: &[Vec<usize>],
+    place: usize,
+    number: impl Fn(&[Counts]) -> Option<f64>,
+) -> Interval {
+    let found = interval(epochs, draws, number);
+    let [low, high] = found.ends;
+    let has_width = high - low > 1e-9;
+    let is_near_end = found.value < NEAR_END || found.value > 1.0 - NEAR_END;
+    if low.is_nan() || (has_width && !is_near_end) {
+        return found;
+    }
+    let [exact_low, exact_high] = exact(epochs)[place].unwrap_or(found.ends);
+    Interval { ends: [low.min(exact_low), high.max(exact_high)], ..found }
+}
+
+/// Exact intervals of precision, recall and F1 of all counts together, taken as independent.
+fn exact(epochs: &[Counts]) -> [Option<[f64; 2]>; 3] {
+    let sum = epochs.iter().fold(Counts::default(), |sum, epoch| sum.plus(epoch));
+    let of = |hits: usize, others: usize| (hits + others > 0).then(|| exact_interval(hits, hits + others).into());
+    let [precision, recall]: [Option<[f64; 2]>; 2] =
+        [of(sum.true_positives, sum.false_positives), of(sum.found, sum.missed)];
+    // Without a detection precision may be anything.
+    let end = |end: usize| f1(Some(precision.unwrap_or([0.0, 1.0])[end]), Some(recall.unwrap_or([0.0, 1.0])[end]));
+    let both = precision.or(recall).and_then(|_| Some([end(0)?, end(1)?]));
+    [precision, recall, both]
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn where_all_is_found_the_interval_is_that_of_the_counts() {
+        let all = [epoch(3, 0, 0); 20];
+        let draws = draws(Key([4; 32]), 20, 500);
+        let recall = |epochs: &[Counts]| rate_interval(epochs, &draws, 1, |c| pooled(c)[1]);
+        let found = recall(&all);
+        // 60 of 60: 0.025^(1/60).
+        assert!((found.ends[0] - 0.940_4).abs() < 1e-3 && found.ends[1] > 1.0 - 1e-12, "{found:?}");
+        let f1 = rate_interval(&all, &draws, 2, mean_f1);
+        assert!((f1.ends[0] - 0.940_4).abs() < 1e-3, "{f1:?}");
+        let none = recall(&[epoch(0, 0, 3); 20]);
+        assert!(none.ends[0].abs() < 1e-12 && (none.ends[1] - 0.059_6).abs() < 1e-3, "{none:?}");
+        // In the middle it is that of the epochs, and of a single one there is none.
+        let mut half = [epoch(1, 1, 1); 20];
+        half[3] = epoch(2, 0, 0);
+        let plain = interval(&half, &draws, |c| pooled(c)[1]);
+        assert_eq!(recall(&half), plain);
+        assert!(recall(&all[..1]).ends[0].is_nan());
+    }
 
     fn epoch(true_positives: usize, false_positives: usize, missed: usize) -> Counts {
         Counts { true_positives, false_positives, found: true_positives, missed }

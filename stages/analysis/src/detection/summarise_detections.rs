@@ -26,7 +26,7 @@ pub struct SummariseDetections;
 impl Stage for SummariseDetections {
     type Params = SummariseDetectionsParams;
     const NAME: &'static str = "summarise-detections";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const PAGE: Page = Page::new(include_str!("summarise_detections.md"));
     const INPUTS: &'static [Port] = &[Port::many(
         "scores",
@@ -155,10 +155,16 @@ fn row(epochs: &[Epoch], draws: &[Vec<usize>]) -> Vec<(String, f64)> {
     for (kind, suffix) in ["", "_1to1", "_by_cell"].into_iter().enumerate() {
         let counts: Vec<Counts> = epochs.iter().map(|epoch| epoch.counts[kind]).collect();
         for (place, name) in ["precision", "recall", "f1"].into_iter().enumerate() {
-            push(format!("pooled_{name}{suffix}"), rates::interval(&counts, draws, |c| rates::pooled(c)[place]));
-            push(format!("macro_{name}{suffix}"), rates::interval(&counts, draws, |c| rates::averaged(c)[place]));
+            push(
+                format!("pooled_{name}{suffix}"),
+                rates::rate_interval(&counts, draws, place, |c| rates::pooled(c)[place]),
+            );
+            push(
+                format!("macro_{name}{suffix}"),
+                rates::rate_interval(&counts, draws, place, |c| rates::averaged(c)[place]),
+            );
         }
-        push(format!("mean_f1{suffix}"), rates::interval(&counts, draws, rates::mean_f1));
+        push(format!("mean_f1{suffix}"), rates::rate_interval(&counts, draws, 2, rates::mean_f1));
     }
     for (place, name) in MEANS.into_iter().enumerate() {
         let values: Vec<Option<f64>> = epochs.iter().map(|epoch| epoch.means[place]).collect();

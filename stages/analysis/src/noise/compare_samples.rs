@@ -6,6 +6,8 @@ use crate::noise::chain;
 use crate::noise::classifier::{Auc, Logistic, area};
 use crate::noise::descriptors::feature_names;
 use crate::noise::mahalanobis::{Constant, constants};
+use crate::noise::tested;
+use crate::noise::tested::Role;
 use crate::noise::two_samples::{Classifier, Control, Row, TwoSamples, control};
 use rockface_core::artefact::{Cell, Kind, Table};
 use rockface_core::numerics::held_out::in_view;
@@ -43,7 +45,7 @@ const NAMED: usize = 6;
 impl Stage for CompareSamples {
     type Params = CompareSamplesParams;
     const NAME: &'static str = "compare-samples";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const PAGE: Page = Page::new(include_str!("compare_samples.md"));
     const INPUTS: &'static [Port] = &[
         Port::many(
@@ -80,6 +82,9 @@ impl Stage for CompareSamples {
                 }));
             }
         }
+        let copies = [tested::copies(&classes[0], Role::Reference), tested::copies(&classes[1], Role::Simulated)];
+        let other = tested::other_extent(&tables, &inputs.many::<Table>("simulated")?);
+        copies.into_iter().flatten().chain(other).for_each(|text| context.warn(text));
         level(&features, &mut classes);
         let folds = params.folds.min(classes[0].len()).min(classes[1].len());
         let params = &CompareSamplesParams { folds, ..params.clone() };

@@ -4,6 +4,7 @@ use rayon::prelude::*;
 
 use crate::noise::descriptors::{DIAGNOSTICS, Description, Settings, describe, feature_names};
 use crate::noise::detrend::Detrend;
+use crate::noise::doubtful::doubts;
 use crate::noise::robust_variogram::Estimator;
 use crate::noise::variogram_model::Shape;
 use rockface_core::artefact::{Band, Cell, Kind, Raster, Table};
@@ -35,7 +36,7 @@ pub struct DescribeNoise;
 impl Stage for DescribeNoise {
     type Params = DescribeNoiseParams;
     const NAME: &'static str = "describe-noise";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PAGE: Page = Page::new(include_str!("describe_noise.md"));
     const INPUTS: &'static [Port] =
         &[Port::one("raster", &[Kind::Raster], "Differences without rockfall, metres, any number of bands.")];
@@ -77,6 +78,9 @@ impl Stage for DescribeNoise {
         let found: Vec<Result<Description, StageError>> = raster.bands.par_iter().map(one).collect();
         let found: Vec<Description> = found.into_iter().collect::<Result<_, _>>()?;
         let named: Vec<(&str, &Description)> = raster.bands.iter().map(|b| b.name.as_str()).zip(&found).collect();
+        let values: Vec<(&str, &[f32])> =
+            raster.bands.iter().map(|band| (band.name.as_str(), band.values.as_slice())).collect();
+        doubts(&values).into_iter().for_each(|text| context.warn(text));
         log(&named, context);
         Ok(Outputs::of("features", features_table(&named)).and("curves", curves_table(&named, raster.grid.cell_m)))
     }

@@ -1,12 +1,13 @@
 //! `fit-acceptance`: learns from real noise rasters how far a compatible raster may lie from them.
 
 use std::collections::BTreeMap;
-use std::collections::btree_map::Entry;
 
 use crate::noise::acceptance_rate::{perfect_acceptance, share_below};
 use crate::noise::chain;
 use crate::noise::descriptors::{GROUPS, feature_names, in_group, taken};
 use crate::noise::mahalanobis::{bound, fit_labelled, leave_one_out_quantile};
+use crate::noise::tested;
+use crate::noise::tested::Role;
 use rockface_core::artefact::{Acceptance, Cell, GroupModel, Kind, Table};
 use rockface_core::names::twice;
 use rockface_core::numerics::beta;
@@ -39,7 +40,7 @@ pub struct FitAcceptance;
 impl Stage for FitAcceptance {
     type Params = FitAcceptanceParams;
     const NAME: &'static str = "fit-acceptance";
-    const VERSION: u32 = 4;
+    const VERSION: u32 = 5;
     const PAGE: Page = Page::new(include_str!("fit_acceptance.md"));
     const INPUTS: &'static [Port] =
         &[Port::many("features", &[Kind::Table], "Features of real rasters, as `describe-noise` makes them.")];
@@ -66,7 +67,7 @@ impl Stage for FitAcceptance {
         let params = &FitAcceptanceParams { features, ..params.clone() };
         let mut rows = feature_rows(&tables, &params.features)?;
         rows.truncate(kept);
-        if let Some(text) = copies(&rows) {
+        if let Some(text) = tested::copies(&rows, Role::Reference) {
             context.warn(text);
         }
         let mut groups = BTreeMap::from([("all".to_owned(), fit_columns(&params.features, params, &rows)?)]);
@@ -83,33 +84,6 @@ impl Stage for FitAcceptance {
         let summary = summary(&model, params.quantile);
         Ok(Outputs::of("model", model).and("summary", summary))
     }
-}
-
-/// Features at least by which a copy is known: single ones of different rasters are often equal, such as nuggets of 0.
-const TELLING_FEATURES: usize = 3;
-
-/// What is wrong where rasters have the features of an earlier one to the bit, as copied files have; `None` where none has.
-fn copies(rows: &[FeatureRow]) -> Option<String> {
-    if rows.iter().any(|row| row.values.len() < TELLING_FEATURES) {
-        return None;
-    }
-    let mut first: BTreeMap<Vec<u64>, &FeatureRow> = BTreeMap::new();
-    let mut copied = Vec::new();
-    for row in rows {
-        match first.entry(row.values.iter().map(|value| value.to_bits()).collect()) {
-            Entry::Occupied(known) => copied.push((row.label(), known.get().label())),
-            Entry::Vacant(place) => {
-                place.insert(row);
-            }
-        }
-    }
-    let (copy, original) = copied.first()?;
-    Some(format!(
-        "{} of {} reference rasters have the features of an earlier one to the bit, such as `{copy}` those of `{original}`: are \
-         files copied? They narrow the acceptance region; leave them out",
-        copied.len(),
-        rows.len()
-    ))
 }
 
 fn fit_columns(names: &[String], params: &FitAcceptanceParams, rows: &[FeatureRow]) -> Result<GroupModel, StageError> {
@@ -273,7 +247,7 @@ mod tests {
         let told = |text: &String| text.contains("3 of 30") && text.contains("`r7` those of `r2`");
         assert!(host.warnings().iter().any(told), "{:?}", host.warnings());
         let (_, _, host) = fitted(features(), &json!({})).unwrap();
-        assert!(!host.warnings().iter().any(|text| text.contains("to the bit")));
+        assert!(!host.warnings().iter().any(|text| text.contains("those of")));
     }
 
     #[test]
@@ -282,7 +256,7 @@ mod tests {
         let nugget = table.column("nugget_m2").unwrap();
         table.rows.iter_mut().take(8).for_each(|row| row[nugget] = 0.0.into());
         let (_, _, host) = fitted(table, &json!({"features": ["nugget_m2"]})).unwrap();
-        assert!(!host.warnings().iter().any(|text| text.contains("to the bit")), "{:?}", host.warnings());
+        assert!(!host.warnings().iter().any(|text| text.contains("those of")), "{:?}", host.warnings());
     }
 
     #[test]

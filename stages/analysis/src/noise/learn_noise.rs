@@ -12,12 +12,12 @@ use crate::noise::learning::by_place::{self, Strengths};
 use crate::noise::learning::common_share::common_share;
 use crate::noise::learning::contrast::{self, Figures, Nearest};
 use crate::noise::learning::departure::{Departure, Mean, of_another};
-use crate::noise::learning::differences::{check, differences, gaps, per_step, seen, skewnesses};
+use crate::noise::learning::differences::{check, check_filtered, differences, gaps, per_step, seen, skewnesses};
 use crate::noise::learning::trend_weights::{Level, weighed};
 use crate::noise::learning::whitening::{
     BANDS, LEAST_SIDE_CELLS, Places, Prior, Stack, Whitened, range_cells, restore_outliers, whiten,
 };
-use crate::noise::learning::{bends, parametric, registration, relief_law};
+use crate::noise::learning::{bends, parametric, registration, relief_law, repeated};
 use rockface_core::artefact::{
     Band, Cameras, Contrast, Kind, LateralShift, MOST_GAP_GAIN, MOST_GAP_VARIETY, MOST_SKEWNESS_GAIN, Noise, Pairs,
     Parametric, Raster, ReliefLaw,
@@ -66,7 +66,7 @@ params! {
         /// Differences drawn from the model to find how much of the variety of the rasters is chance of single fields, which every draw has
         /// anew, and by how much the mean of the draws is off; 0: none of it.
         draws: usize = 64; Range::Between(0.0, 1000.0),
-        /// Larger differences were filtered out of the rasters, metres; left out: none were.
+        /// Larger differences were filtered out of the rasters, metres; left out: none were. Rasters that have larger ones are refused.
         outlier_m: Option<f64> = None; Range::Positive,
         /// Half width of the window in which the deviation of elevations is the relief, cells.
         relief_cells: usize = 4; Range::Between(1.0, 50.0),
@@ -83,7 +83,7 @@ pub struct LearnNoise;
 impl Stage for LearnNoise {
     type Params = LearnNoiseParams;
     const NAME: &'static str = "learn-noise";
-    const VERSION: u32 = 31;
+    const VERSION: u32 = 32;
     const PAGE: Page = Page::new(include_str!("learn_noise.md"));
     const INPUTS: &'static [Port] = &[
         Port::many(
@@ -131,6 +131,9 @@ impl Stage for LearnNoise {
             let text = format!("{kept} of {} rasters are left to learn from, 3 are needed", all.len());
             return Err(StageError::new(text).hint("add rasters, or lower `held_out`"));
         }
+        if let Some(limit_m) = params.outlier_m {
+            check_filtered(&all[..kept], limit_m)?;
+        }
         let step_m = elevation_step_m(dem, block, pairs)?;
         let columns = dem.grid.columns;
         let Level { rasters_m: mut level_m, trends_m: trends, weights } = weighed(&all[..kept], columns, &step_m)?;
@@ -140,6 +143,10 @@ impl Stage for LearnNoise {
                  that is the same every time: subtract from each survey the one before it",
                 100.0 * share
             ));
+        }
+        let names: Vec<&str> = all[..kept].iter().map(|band| band.name.as_str()).collect();
+        if let Some(text) = repeated::warning(&level_m, &names) {
+            context.warn(text);
         }
         let before = power(&level_m);
         let bend_shapes = bends::shapes(&level_m, &trends, columns, &weights);
@@ -631,6 +638,14 @@ fn report(noise: &Noise, learnt: &Learnt, step_m: &[f32], context: &Context) {
         context.warn(format!(
             "stronger than the other rasters or of another structure, as by motion blur or haze: {}; they count as bad acquisitions, a class of their own",
             bad.join(", ")
+        ));
+    }
+    if 3 * bad.len() >= noise.members.len() {
+        context.warn(format!(
+            "{} of {} rasters count as bad acquisitions: a third or more is no exception, and what all others are judged by is little. Look at them; \
+             where they are as good as the others, raise `bad_cut`",
+            bad.len(),
+            noise.members.len()
         ));
     }
     if !learnt.fields {

@@ -20,15 +20,21 @@ use rockface_core::{StageError, fail};
 /// Distance of a raster whose leave-one-out reference does not vary in a direction it differs in; JSON has no infinity.
 pub const UNBOUNDED_D2: f64 = f64::MAX;
 
-/// Spread below which a feature counts as constant, relative to its size.
-const CONSTANT: f64 = 1e-12;
+/// Spread below which a feature counts as constant, relative to its size: some ten times the rounding of rasters of 32 bits.
+const CONSTANT: f64 = 1e-6;
 
 /// Spread below which a feature counts as constant, as a share of its resolution.
 const BELOW_RESOLUTION: f64 = 0.1;
 
-/// The resolution of a feature that does not vary, as a share of the mean of a feature of the same unit: of the sill for a nugget, of the deviation for
-/// a mean.
+/// The resolution of a feature that does not vary, as a share of what it is measured by.
 const RESOLUTION: f64 = 0.01;
+
+/// Features that may be 0 but for rounding, each with those it is measured by, the first one that is there: a mean by how much heights
+/// scatter, a nugget by the sill. A length in the plane of the face says nothing of a height, and what scatters itself is measured by its own size.
+const MEASURED_BY: [(&str, &[&str]); 2] = [("mean_m", &["std_m", "nmad_m"]), ("nugget_m2", &["sill_m2", "gamma1_m2"])];
+
+/// Resolution of a range that is 0 in all references, metres.
+const RANGE_M: f64 = 1e-3;
 
 /// A squared distance and what each feature adds to it.
 #[derive(Debug, Clone, PartialEq)]
@@ -109,9 +115,10 @@ pub fn constants(names: &[String], rows: &[Vec<f64>]) -> Vec<Option<Constant>> {
         let resolution = resolution(j, names, &mean);
         let largest = rows.iter().map(|row| row[j].abs()).fold(0.0, f64::max);
         let varies = deviation[j] > (CONSTANT * largest).max(BELOW_RESOLUTION * resolution.unwrap_or(0.0));
-        // A number without unit whose mean is 0, such as a skewness, has a resolution of 0.01.
-        let own = || RESOLUTION * if mean[j] == 0.0 { 1.0 } else { mean[j].abs() };
-        (!varies).then(|| Constant { value: rows[0][j], resolution: resolution.unwrap_or_else(own) })
+        (!varies).then(|| Constant {
+            value: rows[0][j],
+            resolution: resolution.unwrap_or_else(|| own_resolution(&names[j], mean[j])),
+        })
     };
     (0..names.len()).map(of).collect()
 }
@@ -133,15 +140,22 @@ pub fn fit_labelled(
     Ok(model)
 }
 
-/// The departure of feature `j` that is a share of the smallest other feature of the same unit that is not 0; `None` where there is no other.
+/// The resolution of feature `j` where it is measured by another one that is not 0, as by [`MEASURED_BY`].
 fn resolution(j: usize, names: &[String], mean: &[f64]) -> Option<f64> {
-    let unit = |name: &str| {
-        name.rsplit_once('_').map(|(_, unit)| unit).filter(|unit| ["m", "m2"].contains(unit)).map(str::to_owned)
-    };
-    let alike =
-        (0..names.len()).filter(|k| *k != j && unit(&names[*k]).is_some() && unit(&names[*k]) == unit(&names[j]));
-    let sizes = alike.map(|k| mean[k].abs()).filter(|size| *size > 0.0);
-    sizes.min_by(f64::total_cmp).map(|size| RESOLUTION * size)
+    let (_, others) = MEASURED_BY.iter().find(|(name, _)| *name == names[j])?;
+    let size = |other: &&str| names.iter().position(|name| name == other).map(|k| mean[k].abs());
+    others.iter().filter_map(size).find(|size| *size > 0.0).map(|size| RESOLUTION * size)
+}
+
+/// The resolution of a feature that is measured by its own size. A number whose mean is 0, such as a skewness, has a resolution of 0.01.
+fn own_resolution(name: &str, mean: f64) -> f64 {
+    if mean.abs() > 0.0 {
+        RESOLUTION * mean.abs()
+    } else if name.starts_with("range") {
+        RANGE_M
+    } else {
+        RESOLUTION
+    }
 }
 
 /// The distance of a raster whose `values` are in the order of [`GroupModel::judged`].
@@ -293,6 +307,46 @@ mod tests {
         assert!((distance(&rounded, &[rounded.mean[0], rounded.mean[1], 1e-4]).d2 - 0.93).abs() < 0.05);
         assert!(distance(&rounded, &[rounded.mean[0], rounded.mean[1], 1e-6]).d2 < 1e-3);
         assert_eq!(fitted(1e-4).features, names);
+    }
+
+    #[test]
+    fn how_strong_noise_is_does_not_count_as_rounding_beside_a_range() {
+        // Four descriptors of ten rasters; the range is a length along the face, three hundred times the deviation.
+        let names = ["std_m", "skewness", "range95_m", "roughness_b"].map(str::to_owned);
+        let field = Key([8; 32]).field();
+        let row = |i: i32| {
+            let [a, b] = field.normals(i, 0);
+            let [c, d] = field.normals(i, 1);
+            vec![0.004 * (1.0 + 0.08 * a), 0.1 * b, 1.1 + 0.1 * c, 0.5 + 0.02 * d]
+        };
+        let model = fit(&names, &(0..10).map(row).collect::<Vec<_>>(), 1e-3).unwrap();
+        assert_eq!(model.features, names);
+        let strong = [2.0 * model.mean[0], model.mean[1], model.mean[2], model.mean[3]];
+        assert!(distance(&model, &strong).d2 > bound(10));
+    }
+
+    #[test]
+    fn rounding_of_what_scatters_is_measured_by_its_own_size() {
+        let names = ["mean_m", "std_m", "nmad_m", "gamma1_m2", "sill_m2", "range95_m"].map(str::to_owned);
+        let field = Key([9; 32]).field();
+        let row = |relative: f64, range_m: f64| {
+            (0..20)
+                .map(|i| {
+                    let size = |j: i32| 1.0 + relative * field.normal(i, j);
+                    vec![field.normal(i, 9), size(0), 0.9 * size(1), 0.2 * size(2), size(3), range_m]
+                })
+                .collect::<Vec<_>>()
+        };
+        // Rasters divided by their deviation, and noise without correlation.
+        let constants = |relative: f64, range_m: f64| {
+            let found = constants(&names, &row(relative, range_m));
+            found.iter().map(|found| found.map(|constant| constant.resolution)).collect::<Vec<_>>()
+        };
+        let all = constants(1e-8, 0.0);
+        for (found, expected) in all[1..].iter().zip([0.01, 0.009, 0.002, 0.01, 1e-3]) {
+            assert!((found.unwrap() - expected).abs() < 1e-6, "{all:?}");
+        }
+        assert_eq!(constants(1e-4, 0.5), [None, None, None, None, None, Some(0.005)]);
     }
 
     #[test]

@@ -15,7 +15,7 @@
 use rayon::prelude::*;
 use rockface_core::artefact::GroupModel;
 use rockface_core::numerics::portable_math;
-use rockface_core::numerics::quantile::of_sorted;
+use rockface_core::numerics::quantile::{of_sorted, quantile};
 use rockface_core::numerics::random::{Field, Key};
 
 use super::acceptance_rate::share_below;
@@ -46,6 +46,8 @@ pub struct Expectation {
     pub low: usize,
     /// Largest count of the band.
     pub high: usize,
+    /// Ends of the 95 % band of the median D2; `None` where nothing is known of it.
+    pub median_d2: Option<[f64; 2]>,
 }
 
 impl Expectation {
@@ -85,6 +87,8 @@ const FAR: f64 = 3.0;
 struct Drawn {
     log_kurtosis: f64,
     levels: Vec<(f64, usize)>,
+    /// Median D2 of the trials.
+    median_d2: f64,
 }
 
 /// Tests of a perfect simulator at some quantiles.
@@ -138,7 +142,11 @@ impl Setting {
             let threshold = of_sorted(&sorted, *quantile).unwrap_or(f64::NAN);
             (share_below(&loo, threshold), trial_d2.iter().filter(|d2| **d2 <= threshold).count())
         };
-        Some(Drawn { log_kurtosis: log_kurtosis(&reference_d2), levels: quantiles.iter().map(level).collect() })
+        Some(Drawn {
+            log_kurtosis: log_kurtosis(&reference_d2),
+            levels: quantiles.iter().map(level).collect(),
+            median_d2: quantile(&trial_d2, 0.5).unwrap_or(f64::NAN),
+        })
     }
 
     /// References; those of a chain share their epochs with their neighbours.
@@ -193,7 +201,7 @@ impl Simulated {
     pub fn expectation(&self, level: usize, leave_one_out_share: f64, reference_d2: &[f64]) -> Expectation {
         if self.drawn.is_empty() {
             // No covariance had an inverse: every count is possible.
-            return Expectation { share: f64::NAN, low: 0, high: self.trials };
+            return Expectation { share: f64::NAN, low: 0, high: self.trials, median_d2: None };
         }
         let weights = self.weights(level, leave_one_out_share, log_kurtosis(reference_d2));
         let mut mass = vec![0.0; self.trials + 1];
@@ -204,7 +212,8 @@ impl Simulated {
         mass.iter_mut().for_each(|m| *m /= total);
         let mean: f64 = mass.iter().enumerate().map(|(k, m)| k as f64 * m).sum();
         let (low, high) = band(&mass);
-        Expectation { share: mean / self.trials.max(1) as f64, low, high }
+        let medians = self.drawn.iter().zip(&weights).map(|(drawn, weight)| (drawn.median_d2, *weight));
+        Expectation { share: mean / self.trials.max(1) as f64, low, high, median_d2: middle(medians.collect()) }
     }
 
     /// 1 for a test whose references look like the real ones, falling to 0 at the farthest of the nearest share.
@@ -280,6 +289,22 @@ fn band(mass: &[f64]) -> (usize, usize) {
         if below.is_some_and(|m| m >= next) { low -= 1 } else { high += 1 }
     }
     (low, high)
+}
+
+/// The middle 95 % of values with weights.
+fn middle(mut weighted: Vec<(f64, f64)>) -> Option<[f64; 2]> {
+    weighted.retain(|(value, weight)| value.is_finite() && *weight > 0.0);
+    weighted.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let total: f64 = weighted.iter().map(|(_, weight)| weight).sum();
+    let at = |share: f64| {
+        let mut below = 0.0;
+        let reached = weighted.iter().find(|(_, weight)| {
+            below += weight;
+            below >= share * total
+        });
+        reached.or(weighted.last()).map(|(value, _)| *value)
+    };
+    Some([at(0.5 * (1.0 - COVERAGE))?, at(0.5 * (1.0 + COVERAGE))?])
 }
 
 /// D2 of a reference to the model of all others, from its D2 to the model of all (exact but for a ridge, of which it is within a

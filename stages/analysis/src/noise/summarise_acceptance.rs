@@ -5,6 +5,8 @@ use crate::noise::chain;
 use crate::noise::descriptors::{GROUPS, feature_names, in_group, taken};
 use crate::noise::mahalanobis::{bound, distance, fit_labelled, leave_one_out_quantile};
 use crate::noise::perfect_simulator::{Expectation, Setting, Simulated};
+use crate::noise::tested;
+use crate::noise::tested::Role;
 use rockface_core::artefact::{Cell, GroupModel, Kind, Table};
 use rockface_core::numerics::held_out::in_view;
 use rockface_core::numerics::quantile::quantile;
@@ -36,7 +38,7 @@ pub struct SummariseAcceptance;
 impl Stage for SummariseAcceptance {
     type Params = SummariseAcceptanceParams;
     const NAME: &'static str = "summarise-acceptance";
-    const VERSION: u32 = 5;
+    const VERSION: u32 = 6;
     const PAGE: Page = Page::new(include_str!("summarise_acceptance.md"));
     const INPUTS: &'static [Port] = &[
         Port::many("reference", &[Kind::Table], "Features of real rasters, from `describe-noise`."),
@@ -78,6 +80,9 @@ impl Stage for SummariseAcceptance {
             context.warn(text);
         }
         let held_out = reference.split_off(kept);
+        let other = tested::other_extent(&inputs.many::<Table>("reference")?, &inputs.many::<Table>("simulated")?);
+        let copies = [tested::copies(&reference, Role::Reference), tested::copies(&simulated, Role::Simulated)];
+        copies.into_iter().flatten().chain(other).for_each(|text| context.warn(text));
         let mut tests = group_tests(params, &reference, &simulated, &held_out)?;
         simulate_perfect(params, &mut tests);
         let leverage = leverage(params, &reference, &simulated, &tests[0])?;
@@ -195,6 +200,8 @@ table_row! {
         leave_one_out_threshold: f64,
         simulated_leave_one_out: f64,
         simulated_median_d2: Option<f64>,
+        expected_median_low: Option<f64>,
+        expected_median_high: Option<f64>,
         held_out_accepted: Option<usize>,
         held_out_n: Option<usize>,
         held_out_exact_low: Option<f64>,
@@ -242,6 +249,8 @@ fn rate(test: &GroupTest, at: usize, level: f64) -> Rate {
         leave_one_out_threshold: leave_one_out,
         simulated_leave_one_out: share_below(&test.simulated_d2, leave_one_out),
         simulated_median_d2: quantile(&test.simulated_d2, 0.5),
+        expected_median_low: expected.and_then(|of| of.median_d2).map(|[low, _]| low),
+        expected_median_high: expected.and_then(|of| of.median_d2).map(|[_, high]| high),
         held_out_accepted: held_out.map(|(held, _)| held),
         held_out_n: held_out.map(|(_, of)| of),
         held_out_exact_low: held_out_exact.map(|(low, _)| low),
@@ -334,6 +343,11 @@ fn log(all: &GroupTest, params: &SummariseAcceptanceParams, context: &Context) {
     let (n, threshold) = (all.simulated_d2.len(), all.threshold(level));
     let found = accepted(&all.simulated_d2, threshold);
     let Some(expected) = all.expected(at, level) else { return };
+    let (references, features) = (all.model.reference_d2.len(), all.model.judged().len());
+    let known = tested::references(&all.simulated_d2, &all.model.reference_d2);
+    let weak = tested::weak(&expected, n, references, features);
+    let far_off = tested::far_off(&expected, found, &all.simulated_d2);
+    [known, weak, far_off].into_iter().flatten().for_each(|text| context.warn(text));
     context.metric("acceptance", found as f64 / n as f64, "1");
     context.metric("median_d2", quantile(&all.simulated_d2, 0.5).unwrap_or(f64::NAN), "1");
     if !all.held_out_d2.is_empty() {
@@ -341,10 +355,9 @@ fn log(all: &GroupTest, params: &SummariseAcceptanceParams, context: &Context) {
         context.metric("held_out_acceptance", share, "1");
     }
     context.headline(format!(
-        "accepted {found} of {n} at the {} % quantile (D2 <= {threshold:.1}); a perfect simulator would have {} to {}",
+        "accepted {found} of {n} at the {} % quantile (D2 <= {threshold:.1}); {}",
         (level * 1000.0).round() / 10.0,
-        expected.low,
-        expected.high
+        tested::range(&expected, n)
     ));
 }
 

@@ -4,6 +4,8 @@ use crate::noise::acceptance_rate::{perfect_acceptance, score, share_below, wils
 use crate::noise::descriptors::GROUPS;
 use crate::noise::mahalanobis::{Distance, distance, leave_one_out_quantile};
 use crate::noise::perfect_simulator::{Expectation, Setting};
+use crate::noise::tested;
+use crate::noise::tested::Role;
 use rockface_core::artefact::{Acceptance, Cell, GroupModel, Kind, Table, TableRow};
 use rockface_core::numerics::quantile::quantile;
 use rockface_core::params::Range;
@@ -27,7 +29,7 @@ const LEVELS: [f64; 3] = [0.90, 0.95, 0.99];
 impl Stage for TestAcceptance {
     type Params = TestAcceptanceParams;
     const NAME: &'static str = "test-acceptance";
-    const VERSION: u32 = 5;
+    const VERSION: u32 = 6;
     const PAGE: Page = Page::new(include_str!("test_acceptance.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("model", &[Kind::Acceptance], "The reference, from `fit-acceptance`."),
@@ -46,6 +48,9 @@ impl Stage for TestAcceptance {
         let rows = feature_rows(&tables, &all.judged)?;
         if rows.is_empty() {
             fail!("the feature tables have no rows: there is nothing to test");
+        }
+        if let Some(text) = tested::copies(&rows, Role::Simulated) {
+            context.warn(text);
         }
         let distances: Vec<Vec<Distance>> = tests.iter().map(|test| test.distances(all, &rows)).collect();
         let verdicts = verdicts(&tests, &rows, &distances)?;
@@ -165,6 +170,9 @@ table_row! {
         expected_low: usize,
         expected_high: usize,
         in_band: bool,
+        simulated_median_d2: Option<f64>,
+        expected_median_low: Option<f64>,
+        expected_median_high: Option<f64>,
     }
 }
 
@@ -177,15 +185,6 @@ fn levels(level: f64) -> Vec<f64> {
     }
     levels
 }
-
-/// Distances of one raster from one model, as a share of each other: they differ by rounding at most.
-const SAME: f64 = 1e-9;
-
-/// A test is weak where the range of a perfect simulator begins below this share of the rasters.
-const WEAK: f64 = 0.125;
-
-/// Of fewer rasters every range begins near 0.
-const ENOUGH: usize = 8;
 
 /// What a perfect simulator would have at each quantile.
 fn expectations(model: &GroupModel, ridge: f64, levels: &[f64], trials: usize) -> Vec<Expectation> {
@@ -230,6 +229,9 @@ fn summary_row(all: &GroupTest, distances: &[Distance], level: f64, expected: Ex
         expected_low: expected.low,
         expected_high: expected.high,
         in_band: expected.holds(accepted),
+        simulated_median_d2: quantile(&distances.iter().map(|found| found.d2).collect::<Vec<_>>(), 0.5),
+        expected_median_low: expected.median_d2.map(|[low, _]| low),
+        expected_median_high: expected.median_d2.map(|[_, high]| high),
     }
 }
 
@@ -254,23 +256,12 @@ fn log(
     }
     let band = levels.iter().zip(expected).find(|(of, _)| of.total_cmp(&level).is_eq()).map(|(_, band)| band);
     let (references, features) = (all.model.reference_d2.len(), all.judged.len());
-    let is_reference = |found: &&Distance| all.model.reference_d2.iter().any(|d2| (d2 - found.d2).abs() <= SAME * d2);
-    let known = distances.iter().filter(is_reference).count();
-    if 2 * known > n {
-        context.warn(format!(
-            "{known} of {n} rasters are references of the model itself. The range is that of new rasters; of references more are accepted"
-        ));
-    }
-    let is_weak = |band: &&Expectation| n >= ENOUGH && (band.low as f64) < WEAK * n as f64;
-    if let Some(band) = band.filter(is_weak) {
-        context.warn(format!(
-            "this test can hardly reject: a perfect simulator may have as few as {} of {n} accepted, with {references} references for \
-             {features} features; give it more references, or fewer features",
-            band.low
-        ));
-    }
-    let band =
-        band.map_or_else(String::new, |band| format!("; a perfect simulator would have {} to {}", band.low, band.high));
+    let d2: Vec<f64> = distances.iter().map(|found| found.d2).collect();
+    let known = tested::references(&d2, &all.model.reference_d2);
+    let weak = band.and_then(|band| tested::weak(band, n, references, features));
+    let far_off = band.and_then(|band| tested::far_off(band, accepted, &d2));
+    [known, weak, far_off].into_iter().flatten().for_each(|text| context.warn(text));
+    let band = band.map_or_else(String::new, |band| format!("; {}", tested::range(band, n)));
     context.headline(format!(
         "accepted {accepted} of {n} at the {} % quantile (D2 <= {:.1}){band}",
         (level * 1000.0).round() / 10.0,

@@ -1,5 +1,6 @@
 //! `fit-magnitude-frequency`: fits the power law of rockfall volumes and tabulates their cumulative curve.
 
+use crate::rockfall::goodness;
 use crate::rockfall::power_law;
 use crate::rockfall::power_law::PowerLaw;
 use rockface_core::artefact::{Cell, Kind, Table};
@@ -24,13 +25,16 @@ params! {
 /// Volumes the law is fitted to from which on a choice of `V_min` by the volumes hardly makes its exponent too large.
 const MANY: usize = 100;
 
+/// Share of sets drawn from the law below which volumes are said to follow none.
+const NO_LAW: f64 = 0.05;
+
 /// Fits a power law N(>= V) = n (V / V_min)^-b to the volumes of an inventory.
 pub struct FitMagnitudeFrequency;
 
 impl Stage for FitMagnitudeFrequency {
     type Params = FitMagnitudeFrequencyParams;
     const NAME: &'static str = "fit-magnitude-frequency";
-    const VERSION: u32 = 4;
+    const VERSION: u32 = 5;
     const PAGE: Page = Page::new(include_str!("fit_magnitude_frequency.md"));
     const INPUTS: &'static [Port] =
         &[Port::one("volumes", &[Kind::Inventory, Kind::Table], "One volume a row, such as a ground truth.")];
@@ -72,13 +76,24 @@ impl Stage for FitMagnitudeFrequency {
                  `minimum_m3` where it is known from which volume on the survey misses none"
             ));
         }
+        let p_value = goodness::p_value(&volumes, &law, params.minimum_m3, params.least_count as usize);
+        if p_value < NO_LAW {
+            context.warn(format!(
+                "these volumes follow no power law: the distance {:.3} between them and the law is reached by {:.1} % of sets of as many volumes drawn \
+                 from it. b and its error say little; look at the curve, raise `minimum_m3` above the roll-over, give `maximum_m3` where volumes have an \
+                 upper end, and see whether volumes are rounded",
+                law.distance,
+                100.0 * p_value
+            ));
+        }
         context.metric("exponent", law.exponent, "1");
+        context.metric("ks_p_value", p_value, "1");
         context.metric("minimum", law.minimum, "m3");
         context.headline(format!(
             "b = {:.3} +- {:.3} for the {} volumes from {:.3e} m3 up, {} below",
             law.exponent, law.standard_error, law.count, law.minimum, law.below
         ));
-        Ok(Outputs::of("fit", fit_table(&law)).and("curve", curve_table(&volumes, Some(&law))))
+        Ok(Outputs::of("fit", fit_table(&law, p_value)).and("curve", curve_table(&volumes, Some(&law))))
     }
 }
 
@@ -114,10 +129,11 @@ table_row! {
         ks_distance: Option<f64>,
         density_exponent: Option<f64>,
         maximum_m3: Option<f64>,
+        ks_p_value: Option<f64>,
     }
 }
 
-fn fit_table(law: &PowerLaw) -> Table {
+fn fit_table(law: &PowerLaw, p_value: f64) -> Table {
     let fit = Fit {
         exponent: Some(law.exponent),
         standard_error: Some(law.standard_error),
@@ -127,6 +143,7 @@ fn fit_table(law: &PowerLaw) -> Table {
         ks_distance: Some(law.distance),
         density_exponent: Some(law.exponent + 1.0),
         maximum_m3: law.maximum,
+        ks_p_value: Some(p_value),
     };
     std::iter::once(fit).collect()
 }
@@ -143,6 +160,7 @@ fn no_law(volumes: &[f64], params: &FitMagnitudeFrequencyParams) -> Table {
         ks_distance: None,
         density_exponent: None,
         maximum_m3: params.maximum_m3,
+        ks_p_value: None,
     };
     std::iter::once(fit).collect()
 }
@@ -184,7 +202,7 @@ mod tests {
         // V = 2 / i is a law of exponent 1; the estimate of 50 values lies within its standard error.
         let exponent = host.metric("exponent").unwrap();
         assert!((exponent - 1.0).abs() < exponent / 50f64.sqrt(), "{exponent}");
-        assert_eq!(host.entries.lock().unwrap().len(), 4);
+        assert_eq!(host.entries.lock().unwrap().len(), 5);
     }
 
     #[test]
@@ -204,9 +222,25 @@ mod tests {
     }
 
     #[test]
+    fn volumes_of_no_law_are_warned_of() {
+        let p_value = |volumes: Vec<f64>| {
+            let host = TestHost::default();
+            let inputs = [("volumes", table(volumes))];
+            let made = run_stage::<FitMagnitudeFrequency>(&host, &json!({"minimum_m3": 0.01}), &inputs).unwrap();
+            let Artefact::Table(fit) = &made.into_inner()["fit"] else { panic!("no table") };
+            let p = fit.rows[0][fit.column("ks_p_value").unwrap()].number().unwrap();
+            (p, host.warnings().iter().any(|text| text.contains("follow no power law")))
+        };
+        let (p, told) = p_value((0..300).map(|i| if i < 150 { 0.01 } else { 1.0 }).collect());
+        assert!(p < 0.01 && told);
+        let (p, told) = p_value((1..=100).map(|i| 1.0 / f64::from(i)).collect());
+        assert!(p > 0.5 && !told, "{p}");
+    }
+
+    #[test]
     fn text_among_the_volumes_is_warned_of() {
         let host = TestHost::default();
-        let Artefact::Table(mut volumes) = table((1..=20).map(f64::from)) else { panic!("no table") };
+        let Artefact::Table(mut volumes) = table((1..=20).map(|i| 1.0 / f64::from(i))) else { panic!("no table") };
         volumes.rows[3][0] = "0,032".into();
         run_stage::<FitMagnitudeFrequency>(&host, &json!({}), &[("volumes", volumes.into())]).unwrap();
         let warnings = host.warnings();

@@ -1,6 +1,7 @@
 //! Rockfall: candidate blocks, their removal from a mesh, ground truth, inventories and their magnitudes.
 
 pub mod block;
+pub mod goodness;
 pub mod ground_truth;
 pub mod inventory_foreign;
 pub mod inventory_labels;

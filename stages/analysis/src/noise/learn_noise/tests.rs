@@ -144,6 +144,32 @@ fn align(rasters: &mut [Raster]) {
 }
 
 #[test]
+fn rasters_with_values_beyond_the_outlier_limit_are_refused_by_name() {
+    let mut rasters = differences_within(0.012);
+    rasters[3].bands[0].values[40..43].fill(-0.3);
+    rasters[5].bands[0].values[50] = 0.2;
+    let error = learn_from(rasters, &json!({"outlier_m": 0.012, "draws": 0})).err().unwrap();
+    assert!(
+        error.message.contains("raster `n3` has 3 values beyond `outlier_m`, 0.012 m, the largest 0.3 m; 1 others"),
+        "{error}"
+    );
+    assert!(error.hint.unwrap().contains("`filter-outliers`"));
+}
+
+#[test]
+fn rasters_that_are_there_twice_are_told() {
+    let mut rasters = differences(6, &[]);
+    rasters.push(rasters[2].clone());
+    rasters[6].bands[0].name = "copy".to_owned();
+    let (_, host) = learn_from(rasters, &json!({"draws": 0})).unwrap();
+    assert!(
+        host.warnings().iter().any(|text| text.contains("2 of 7 rasters") && text.contains("`n2` and `copy` (1.00)"))
+    );
+    let (_, host) = learn(6, &[], &json!({"draws": 0})).unwrap();
+    assert!(!host.warnings().iter().any(|text| text.contains("correlate with another")), "{:?}", host.warnings());
+}
+
+#[test]
 fn draws_are_as_asymmetric_as_rasters_that_are_bent() {
     let mut rasters = differences(16, &[]);
     for (b, raster) in rasters.iter_mut().enumerate() {

@@ -35,6 +35,29 @@ pub fn check(rasters: &[&Raster], dem: &Raster, block: &Cameras) -> Result<(), S
     Ok(())
 }
 
+/// What counts as beyond a limit, since rasters have 32 bits.
+const BEYOND: f64 = 1.0 + 1e-6;
+
+/// Checks that rasters have nothing beyond the limit at which they are said to be filtered, metres: draws are, and a model of rasters that are not is too strong.
+///
+/// # Errors
+/// The raster with most values beyond it.
+pub fn check_filtered(bands: &[&Band], limit_m: f64) -> Result<(), StageError> {
+    let beyond = |band: &&Band| band.values.iter().filter(|value| f64::from(value.abs()) > BEYOND * limit_m).count();
+    let counts: Vec<usize> = bands.iter().map(beyond).collect();
+    let worst = bands.iter().zip(&counts).max_by_key(|(_, count)| **count).filter(|(_, count)| **count > 0);
+    let Some((band, count)) = worst else { return Ok(()) };
+    let largest = band.values.iter().filter(|value| !value.is_nan()).fold(0.0f32, |most, value| most.max(value.abs()));
+    let others = counts.iter().filter(|count| **count > 0).count() - 1;
+    let others = if others > 0 { format!("; {others} others have some too") } else { String::new() };
+    let text = format!(
+        "raster `{}` has {count} values beyond `outlier_m`, {limit_m} m, the largest {largest} m{others}: rasters must be filtered at that limit",
+        band.name
+    );
+    Err(StageError::new(text)
+        .hint("filter them with `filter-outliers` (`max_abs_m`) or `max_abs` of `import-rasters`, or leave `outlier_m` out where nothing was filtered"))
+}
+
 /// Checks that a model is of the grid and frame of a DEM, and made as [`whiten`](super::whitening::whiten) takes rasters apart.
 ///
 /// # Errors

@@ -11,5 +11,6 @@ pub mod differences;
 pub mod parametric;
 pub mod registration;
 pub mod relief_law;
+pub mod repeated;
 pub mod trend_weights;
 pub mod whitening;

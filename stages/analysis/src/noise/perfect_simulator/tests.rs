@@ -25,15 +25,20 @@ fn heavy(field: &Field, i: i32, j: i32) -> f64 {
 }
 
 /// How often the count of `m` rasters of a perfect simulator lies in its band, with `n` references of `p` features.
-fn coverage(simulator: Simulator, [n, p, m]: [usize; 3], worlds: i32, chained: bool) -> f64 {
+fn coverage(simulator: Simulator, sizes: [usize; 3], worlds: i32, chained: bool) -> f64 {
+    coverages(simulator, sizes, worlds, chained)[0]
+}
+
+/// How often the count of `m` rasters of a perfect simulator, and their median D2, lie in their bands.
+fn coverages(simulator: Simulator, [n, p, m]: [usize; 3], worlds: i32, chained: bool) -> [f64; 2] {
     let names: Vec<String> = (0..p).map(|j| format!("f{j}")).collect();
     let labels: Vec<String> =
         (0..n).map(|i| if chained { format!("c_{i}_{}", i + 1) } else { format!("r{i}") }).collect();
     let mut shared: Option<Simulated> = None;
-    let held = (0..worlds).filter(|world| {
+    let held = (0..worlds).map(|world| {
         let field = Key([
-            *world as u8,
-            (*world >> 8) as u8,
+            world as u8,
+            (world >> 8) as u8,
             3,
             4,
             5,
@@ -84,16 +89,40 @@ fn coverage(simulator: Simulator, [n, p, m]: [usize; 3], worlds: i32, chained: b
             let sum = |j: usize| if chained { 0.8944 * epoch(a, j) + 0.4472 * epoch(b, j) } else { epoch(a, j) };
             (0..p).map(sum).collect()
         };
-        expected.holds((0..m).filter(|i| distance(&model, &trial(*i)).d2 <= threshold).count())
+        let d2: Vec<f64> = (0..m).map(|i| distance(&model, &trial(i)).d2).collect();
+        let median = quantile(&d2, 0.5).unwrap();
+        let has_median = expected.median_d2.is_some_and(|[low, high]| (low..=high).contains(&median));
+        [expected.holds(d2.iter().filter(|d2| **d2 <= threshold).count()), has_median]
     });
-    held.count() as f64 / f64::from(worlds)
+    let counts = held.fold([0, 0], |[a, b], [x, y]| [a + i32::from(x), b + i32::from(y)]);
+    counts.map(|count| f64::from(count) / f64::from(worlds))
 }
 
 #[test]
 fn the_band_of_a_perfect_simulator_is_as_wide_as_it_says() {
     // 200 tests: a standard error of 0.015.
-    let covered = coverage(&normal, [39, 10, 39], 200, false);
-    assert!((0.91..=0.985).contains(&covered), "{covered}");
+    let [count, median] = coverages(&normal, [39, 10, 39], 200, false);
+    assert!((0.91..=0.985).contains(&count) && (0.88..=0.985).contains(&median), "{count} {median}");
+    // Of heavier tails the median is a little less certain than its band says.
+    let [count, median] = coverages(&heavy, [39, 10, 39], 200, false);
+    assert!((0.87..=0.985).contains(&count) && (0.84..=0.985).contains(&median), "{count} {median}");
+}
+
+#[test]
+fn the_median_of_noise_that_is_far_off_lies_outside_though_every_count_is_possible() {
+    let rows: Vec<Vec<f64>> = {
+        let field = Key([9; 32]).field();
+        (0..12).map(|i| (0..10).map(|j| field.normal(i, j)).collect()).collect()
+    };
+    let names: Vec<String> = (0..10).map(|j| format!("f{j}")).collect();
+    let model = fit(&names, &rows, 1e-3).unwrap();
+    let simulated = Setting::of(&model, &model, 1e-3, 40).simulate(&[0.95]);
+    let threshold = quantile(&model.reference_d2, 0.95).unwrap();
+    let found = simulated.expectation(0, share_below(&model.leave_one_out_d2, threshold), &model.reference_d2);
+    println!("12 references of 10 features: {found:?}");
+    let [low, high] = found.median_d2.unwrap();
+    let median = |shift: f64| distance(&model, &[shift; 10]).d2;
+    assert!(found.low == 0 && low > 12.0 && median(30.0) > high, "{found:?} {}", median(30.0));
 }
 
 #[test]
