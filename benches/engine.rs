@@ -157,7 +157,7 @@ fn run(folder: &Path, set: &[String]) -> (f64, usize) {
     let summary = execute(&mut plan, &store, &Options::default(), &stop, &mut Silent).expect("a run");
     let (headlines, files, made) = (Vec::new(), Vec::new(), Vec::new());
     let finished = Finished { folder: told_in(folder), headlines, warnings: Vec::new(), files, unnamed: 0, made };
-    let told = Told::of(&finished, &summary);
+    let told = Told::of(&finished, &plan, &summary);
     let question = Digest::of(text.as_bytes());
     if set.is_empty() {
         shortcut::remember(
