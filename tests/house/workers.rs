@@ -285,6 +285,7 @@ fn every_option_of_submit_that_is_for_the_work_reaches_the_script() {
         ("--no-commands", ""),
         ("--memory", "0.5"),
         ("--keep-going", ""),
+        ("--recorded-inputs", ""),
     ];
     let of_run = ("--runs", runs.to_str().unwrap());
     // None is forgotten here.
