@@ -274,7 +274,7 @@ fn every_option_of_submit_that_is_for_the_work_reaches_the_script() {
     let house = House::new(SMALL);
     let place = format!("file://{}", house.path("place").display());
     let (store, runs) = (house.path("s"), house.path("r"));
-    let of_both: [(&str, &str); 10] = [
+    let of_both: [(&str, &str); 11] = [
         ("--target", "dem"),
         ("--set", "steps.face.with.width_m=2"),
         ("--sweep", "steps.dem.with.cell_m=0.1,0.2"),

@@ -187,6 +187,6 @@ def write_cloud(cloud: Cloud) -> bytes:
         rows["rgb"] = cloud.colours
     for name, values in cloud.numbers.items():
         rows[f"number {name}"] = values
-    for name, values in cloud.values.items():
-        rows[f"value {name}"] = values
+    for name, measured in cloud.values.items():
+        rows[f"value {name}"] = measured
     return "\n".join(header).encode("ascii") + rows.tobytes()
