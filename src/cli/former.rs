@@ -21,7 +21,7 @@ impl PipelineArgs {
 pub fn expanded(graph: Graph, pipeline: &Pipeline, store: &Store) -> Result<Plan, CliError> {
     let plan = rockface_engine::plan::expand(graph, pipeline, store).map_err(CliError::Pipeline)?;
     for (path, run) in plan.graph.former.iter().flat_map(|former| former.used()) {
-        let told = "its results are taken from the store, by the digest it had in run";
+        let told = "steps that read it go by the digest it had in run";
         complain(&format!("warning: {} is not there: {told} {run}", path.display()));
     }
     Ok(plan)

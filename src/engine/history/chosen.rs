@@ -13,7 +13,7 @@ pub struct Chosen {
 }
 
 /// Those of `count` that are shown where there is room for `room`, in their order: the last in any case, then those of the lower `rank`, and of
-/// equal ones the first and on from the end. A gap of one is filled, since saying so takes as much room.
+/// equal ones the first and on from the end.
 pub fn chosen<R: Ord>(count: usize, room: usize, rank: impl Fn(usize) -> R) -> Vec<Chosen> {
     let mut numbers: Vec<usize> = (0..count).collect();
     if count > room {
@@ -88,6 +88,7 @@ pub fn folded(headlines: &[String], ran: &Ran) -> Vec<String> {
         for Chosen { number, left_out } in chosen(group.len(), OF_A_STEP - 1, |number| ranks[number]) {
             match left_out {
                 0 => {}
+                // Saying that one is left out takes as much room as that one.
                 1 => lines.push(group[number - 1].clone()),
                 _ => {
                     let first = number == left_out;

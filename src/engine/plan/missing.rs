@@ -9,7 +9,7 @@ use super::points::{count, points};
 use crate::diagnostic::{Diagnostic, Span, nearest};
 
 /// Points of a step above which the files that it names elsewhere are not looked at.
-const POINTS: u64 = 1000;
+const POINTS: u64 = 200;
 
 /// A file that a parameter names and that is not there.
 pub struct Missing<'a> {

@@ -70,7 +70,7 @@ impl Stage for ExportCloud {
                 fail!("`{port}` are in the {} frame, the points in the {} frame", raster.frame, shape.frame());
             }
             if raster.bands.len() != 1 {
-                fail!("`{port}` has {} bands, and one is needed: `crop-raster` takes one out", raster.bands.len());
+                fail!("`{port}` has {} bands, one is needed", raster.bands.len());
             }
         }
         let is_label = |value: &f32| value.is_nan() || (*value >= 0.0 && value.fract() == 0.0);

@@ -52,7 +52,7 @@ pub struct ImportRasters;
 impl Stage for ImportRasters {
     type Params = ImportRastersParams;
     const NAME: &'static str = "import-rasters";
-    const VERSION: u32 = 6;
+    const VERSION: u32 = 7;
     const PAGE: Page = Page::new(include_str!("import_rasters.md"));
     const INPUTS: &'static [Port] = &[];
     const OUTPUTS: &'static [Port] =

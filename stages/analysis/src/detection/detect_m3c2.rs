@@ -292,6 +292,7 @@ fn report(
     let counted = || (0..distances.len()).filter_map(|cell| distances[cells.owner(cell)?].as_ref());
     let known = counted().filter(|found| !found.limit_m.is_nan()).count();
     context.metric("measured_share", known as f64 / (counted().count() + cells.gaps) as f64, "1");
+    context.metric("tested_share", tested.share, "1");
     context.metric("lod95_median", median, "m");
     context.metric("detections", found.len() as f64, "1");
     context.metric("volume", volume, "m3");
@@ -312,8 +313,8 @@ fn warn_of_few(distances: &[Option<Distance>], params: &DetectM3c2Params, contex
     let are_few = 5 * measured < 4 * cores;
     if are_few {
         context.warn(format!(
-            "only {measured} of {cores} core points have {} points of both clouds within `projection_radius_m`, {} m; no change is found at \
-             the others, but for those next to one that has: enlarge it, or see whether the clouds overlap",
+            "only {measured} of {cores} core points have {} points of both clouds within `projection_radius_m`, {} m; the others \
+             count to the nearest core point that has, where gaps are narrow, and elsewhere no change is found: enlarge it, or see whether the clouds overlap",
             params.least_points, params.projection_radius_m
         ));
     }

@@ -22,7 +22,7 @@ pub fn doubts(rasters: &[(&str, &[f32])]) -> Vec<String> {
     };
     let few = told(
         &few,
-        "so few cells with a value say little of noise; variogram and spectrum are mostly those of the gaps",
+        "so few cells with a value say little of noise, and where most cells have none, variogram and spectrum are mostly those of the gaps",
     );
     let equal = told(
         &equal,

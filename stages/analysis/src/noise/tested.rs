@@ -30,8 +30,8 @@ pub fn copies(rows: &[FeatureRow], role: Role) -> Option<String> {
         Role::Reference => ("reference", "are files copied? They narrow the acceptance region; leave them out"),
         Role::Simulated => (
             "simulated",
-            "have replicates the same random numbers, or are files copied? They count as one raster only, and the test says nothing of how \
-             simulations vary",
+            "have replicates the same random numbers, or are files copied? Each is counted, but together they say no more than \
+             one raster, and nothing of how simulations vary",
         ),
     };
     Some(format!(

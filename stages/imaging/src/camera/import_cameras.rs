@@ -53,7 +53,7 @@ pub struct ImportCameras;
 impl Stage for ImportCameras {
     type Params = ImportCamerasParams;
     const NAME: &'static str = "import-cameras";
-    const VERSION: u32 = 5;
+    const VERSION: u32 = 6;
     const PAGE: Page = Page::new(include_str!("import_cameras.md"));
     const INPUTS: &'static [Port] = &[];
     const OUTPUTS: &'static [Port] = &[

@@ -63,7 +63,7 @@ pub struct ImportCloud;
 impl Stage for ImportCloud {
     type Params = ImportCloudParams;
     const NAME: &'static str = "import-cloud";
-    const VERSION: u32 = 8;
+    const VERSION: u32 = 9;
     const PAGE: Page = Page::new(include_str!("import_cloud.md"));
     const INPUTS: &'static [Port] = &[];
     const OUTPUTS: &'static [Port] = &[Port::one("mesh", &[Kind::Mesh], "The mesh, in the frame of the file.")];

@@ -75,7 +75,7 @@ pub struct ImportMesh;
 impl Stage for ImportMesh {
     type Params = ImportMeshParams;
     const NAME: &'static str = "import-mesh";
-    const VERSION: u32 = 7;
+    const VERSION: u32 = 8;
     const PAGE: Page = Page::new(include_str!("import_mesh.md"));
     const INPUTS: &'static [Port] = &[];
     const OUTPUTS: &'static [Port] = &[Port::one("mesh", &[Kind::Mesh], "The mesh, in the frame of the file.")];

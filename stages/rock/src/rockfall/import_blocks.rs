@@ -68,7 +68,7 @@ pub struct ImportBlocks;
 impl Stage for ImportBlocks {
     type Params = ImportBlocksParams;
     const NAME: &'static str = "import-blocks";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const PAGE: Page = Page::new(include_str!("import_blocks.md"));
     const INPUTS: &'static [Port] =
         &[Port::optional("transform", &[Kind::Transform], "wall_from_world, for blocks in the world frame.")];

@@ -38,7 +38,7 @@ const OTHERS: [(&[u8], &str); 5] = [
 pub fn read(bytes: &[u8]) -> Result<Foreign, CodecError> {
     if let Some((_, name)) = OTHERS.iter().find(|(start, _)| without_mark(bytes).starts_with(start)) {
         return Err(CodecError(format!(
-            "it is {name}, and GeoJSON is read: `ogr2ogr -f GeoJSON NEW.geojson FILE`, or \"Export, Save Features As\" in QGIS, makes that of it"
+            "it is {name}, but only GeoJSON can be read: `ogr2ogr -f GeoJSON NEW.geojson FILE`, or \"Export, Save Features As\" in QGIS, makes that of it"
         )));
     }
     let file: Value =

@@ -150,7 +150,7 @@ fn rasters_with_values_beyond_the_outlier_limit_are_refused_by_name() {
     rasters[5].bands[0].values[50] = 0.2;
     let error = learn_from(rasters, &json!({"outlier_m": 0.012, "draws": 0})).err().unwrap();
     assert!(
-        error.message.contains("raster `n3` has 3 values beyond `outlier_m`, 0.012 m, the largest 0.3 m; 1 others"),
+        error.message.contains("raster `n3` has 3 values beyond `outlier_m`, 0.012 m, the largest 0.3 m; one other"),
         "{error}"
     );
     assert!(error.hint.unwrap().contains("`filter-outliers`"));

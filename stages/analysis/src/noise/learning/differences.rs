@@ -49,7 +49,11 @@ pub fn check_filtered(bands: &[&Band], limit_m: f64) -> Result<(), StageError> {
     let Some((band, count)) = worst else { return Ok(()) };
     let largest = band.values.iter().filter(|value| !value.is_nan()).fold(0.0f32, |most, value| most.max(value.abs()));
     let others = counts.iter().filter(|count| **count > 0).count() - 1;
-    let others = if others > 0 { format!("; {others} others have some too") } else { String::new() };
+    let others = match others {
+        0 => String::new(),
+        1 => "; one other has some too".to_owned(),
+        n => format!("; {n} others have some too"),
+    };
     let text = format!(
         "raster `{}` has {count} values beyond `outlier_m`, {limit_m} m, the largest {largest} m{others}: rasters must be filtered at that limit",
         band.name
