@@ -1,5 +1,6 @@
 //! What is shown of many instances of a step where not all fit: what is new first, and both ends of an axis.
 
+use std::borrow::Cow;
 use std::cmp::Reverse;
 use std::collections::{HashMap, HashSet};
 
@@ -45,13 +46,13 @@ pub struct Ran(HashSet<String>);
 
 impl FromIterator<String> for Ran {
     fn from_iter<I: IntoIterator<Item = String>>(labels: I) -> Self {
-        Self(labels.into_iter().map(|label| sorted(&label)).collect())
+        Self(labels.into_iter().map(|label| sorted(&label).into_owned()).collect())
     }
 }
 
 impl Ran {
     fn has(&self, label: &str) -> bool {
-        self.0.contains(&sorted(label))
+        self.0.contains(&*sorted(label))
     }
 
     fn has_step(&self, step: &str) -> bool {
@@ -60,11 +61,13 @@ impl Ran {
 }
 
 /// A label with its items in one order: plans have that of the axes, manifests that of their names.
-fn sorted(label: &str) -> String {
-    let Some((step, point)) = label.split_once('[') else { return label.to_owned() };
+fn sorted(label: &str) -> Cow<'_, str> {
+    let Some((step, point)) = label.split_once('[').filter(|(_, point)| point.contains(',')) else {
+        return Cow::Borrowed(label);
+    };
     let mut items: Vec<&str> = point.trim_end_matches(']').split(',').collect();
     items.sort_unstable();
-    format!("{step}[{}]", items.join(","))
+    Cow::Owned(format!("{step}[{}]", items.join(",")))
 }
 
 /// How headlines of one step are ranked, for [`chosen`]: what ran in this run before what was cached, what few say before what many say.

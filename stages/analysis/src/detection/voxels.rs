@@ -191,7 +191,7 @@ impl Voxels {
     /// The empty voxels that cannot be reached from outside over faces, in clusters over edges and corners, by first voxel; and at each place
     /// where the surfaces are apart and the outside reaches between them, how many voxels lie there.
     ///
-    /// `outward` is the way out of the rock: along it, from voxel to voxel, it is told whose rock a voxel is in.
+    /// `outward` is the way out of the rock: the voxels along it decide whose rock a voxel is in.
     pub fn enclosed(mut self, outward: &Vector3<f64>) -> (Vec<Cluster>, Vec<usize>) {
         let step = nearest_step(outward);
         self.flood();

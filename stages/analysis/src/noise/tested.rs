@@ -110,7 +110,7 @@ pub fn range(band: &Expectation, n: usize) -> String {
     format!("a perfect simulator would have {} to {}{silent}", band.low, band.high)
 }
 
-/// A median D2 is told where it is beyond its band by more than this factor: the band holds some 90 % of perfect simulators.
+/// A median D2 is warned of where it is beyond its band by more than this factor: the band holds some 90 % of perfect simulators.
 const MARGIN: f64 = 1.25;
 
 /// A sentence where as many of the rasters are accepted as of a perfect simulator, but the median of their D2 is not what it would be; `None` otherwise.
