@@ -1,6 +1,40 @@
 //! Pipelines that ship with the program: called by name, and copied with what they read.
 
+use rockface_core::artefact::{Cloud, Frame};
+use rockface_core::format::cloud_laz;
+use rockface_core::numerics::portable_math;
+use rockface_core::numerics::random::Key;
+
 use crate::cli::{House, SMALL};
+
+/// A scan of a face that looks south, 6 m wide and 4 m high on a grid of 5 cm, with noise of 2 mm; a rockfall of 1 m by 0.8 m and 0.3 m has left it in week 2.
+fn scan(week: u8) -> Vec<u8> {
+    let noise = Key([week; 32]).field();
+    let point = |i: i32| {
+        let (column, row) = (i % 121, i / 121);
+        let (east, up) = (0.05 * f64::from(column), 0.05 * f64::from(row));
+        let relief = 0.3 * portable_math::sin(2.0 * east) * portable_math::cos(3.0 * up) + 0.3 * up;
+        let gone = week == 2 && (2.0..3.0).contains(&east) && (1.5..2.3).contains(&up);
+        let north = relief + 0.002 * noise.normal(column, row) + if gone { 0.3 } else { 0.0 };
+        [412_300.0 + east, 5_098_700.0 + north, 870.0 + up]
+    };
+    cloud_laz::write(&Cloud::new(Frame::World, (0..121 * 81).map(point).collect())).unwrap()
+}
+
+#[test]
+fn the_monitor_template_finds_a_rockfall_between_scans() {
+    let house = House::new(SMALL);
+    let (code, _, err) = house.rockface(&["init", "site", "--template", "monitor"]);
+    assert_eq!(code, Some(0), "{err}");
+    std::fs::create_dir_all(house.path("site/scans")).unwrap();
+    for (week, name) in ["first", "week01", "week02"].into_iter().enumerate() {
+        std::fs::write(house.path(&format!("site/scans/{name}.laz")), scan(week as u8)).unwrap();
+    }
+    let (code, _, err) = house.rockface(&["run", "site/pipeline.yaml", "--set", "params.cell_m=0.05"]);
+    assert_eq!(code, Some(0), "{err}");
+    let list = std::fs::read_to_string(house.path("site/.rockface/runs/latest/outputs/list/table.csv")).unwrap();
+    assert!(list.lines().count() == 2 && list.contains("week02"), "{list}");
+}
 
 #[test]
 fn a_shipped_pipeline_plans_without_a_file() {

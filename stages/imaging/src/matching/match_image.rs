@@ -202,8 +202,9 @@ fn candidates<'a>(inputs: &'a Inputs, image: &str) -> Result<Vec<&'a Depth>, Sta
 fn pairs_of<'a>(pairs: &'a Pairs, image: &str) -> Result<Vec<&'a Pair>, StageError> {
     let chosen: Vec<&Pair> = pairs.pairs.iter().filter(|pair| pair.first == image || pair.second == image).collect();
     match chosen.len() {
-        0 => Err(StageError::new(format!("image `{image}` is in none of the {} pairs", pairs.pairs.len()))
-            .hint("widen the limits of `select-pairs`, or leave the image out")),
+        0 => Err(StageError::new(format!("image `{image}` is in none of the {} pairs", pairs.pairs.len())).hint(
+            "take the images from `cameras` of `select-pairs`, which has only those in a pair, or widen its limits",
+        )),
         n if n > MAXIMUM_PAIRS => fail!("image `{image}` has {n} pairs, {MAXIMUM_PAIRS} at most can be fused"),
         _ => Ok(chosen),
     }

@@ -7,13 +7,15 @@ use crate::matching::noise::paper::{Interpolation, Variance};
 use crate::survey::block_adjustment::propagation::{in_all, stereo_pairs};
 use crate::survey::block_adjustment::tie_points::Visibility;
 use crate::survey::forecast::{Joint, Matching, at_point};
-use crate::survey::overlap::sample_vertices;
+use crate::survey::overlap::sample_vertices_where;
 use rockface_core::artefact::{Band, Cameras, Covariance, Frame, Kind, Mesh, Pairs, Raster, Sample, Table};
 use rockface_core::numerics::marginal::marginal;
-use rockface_core::params::Range;
+use rockface_core::numerics::quantile::median;
+use rockface_core::params::{Fault, Range};
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, fail, params, table_row};
 use rockface_raster::rasterise::{extent, grid_around, tin};
 use rockface_raster::shape::Shape;
+use rockface_raster::window;
 
 /// Points for the figures of a pair.
 const SAMPLES: usize = 2000;
@@ -37,6 +39,8 @@ params! {
         cell_m: f64 = 0.02; Range::Positive,
         /// Side of a cell of the forecast raster, metres.
         map_cell_m: f64 = 0.25; Range::Positive,
+        /// Left, right, bottom and top of the part of the face that counts, metres; left out, all of it.
+        window_m: Option<[f64; 4]> = None,
         /// Pairs listed in the table at most.
         most_pairs: usize = 200; Range::AtLeast(1.0),
     }
@@ -48,7 +52,7 @@ pub struct ForecastPrecision;
 impl Stage for ForecastPrecision {
     type Params = ForecastPrecisionParams;
     const NAME: &'static str = "forecast-precision";
-    const VERSION: u32 = 4;
+    const VERSION: u32 = 5;
     const PAGE: Page = Page::new(include_str!("forecast_precision.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("cameras", &[Kind::Cameras], "The planned block."),
@@ -59,12 +63,20 @@ impl Stage for ForecastPrecision {
             "Its joint covariance; without it orientation is without error.",
         ),
         Port::optional("pairs", &[Kind::Pairs], "The pairs to list; without it all that make a stereo pair."),
-        Port::optional("difference", &[Kind::Raster], "A simulated no-change difference, to compare with."),
+        Port::optional(
+            "difference",
+            &[Kind::Raster],
+            "A simulated no-change difference; it is compared with the forecast where it has values.",
+        ),
     ];
     const OUTPUTS: &'static [Port] = &[
-        Port::one("table", &[Kind::Table], "One row a pair, one for all images."),
+        Port::one("table", &[Kind::Table], "One row a pair, one for all images, one for the places of the difference."),
         Port::one("raster", &[Kind::Raster], "Images, GSD, precision and LoD95 over the face."),
     ];
+
+    fn check(params: &Self::Params) -> Vec<Fault> {
+        window::faults(params.window_m)
+    }
 
     fn memory_bytes(_: &Self::Params, inputs: &InputSizes) -> u64 {
         // The mesh with a search tree over its triangles, and the raster of its cells.
@@ -81,7 +93,14 @@ impl Stage for ForecastPrecision {
             fail!("the covariance is in the {} frame, the cameras in the {} frame", covariance.frame, cameras.frame);
         }
         let joint = covariance.map(|covariance| Joint::new(covariance, cameras)).transpose()?;
-        let points = sample_vertices(mesh, SAMPLES);
+        let difference: Option<&Raster> = inputs.optional("difference")?;
+        if let Some(difference) = difference.filter(|difference| difference.frame != mesh.frame) {
+            fail!("the difference is in the {} frame, the mesh in the {} frame", difference.frame, mesh.frame);
+        }
+        let points = sample_vertices_where(mesh, SAMPLES, &|x, y| in_window(params.window_m, x, y));
+        if points.is_empty() {
+            fail!("no part of the face lies in `window_m`");
+        }
         let survey = Survey::new(params, cameras, joint);
         let visibility = Visibility::new(cameras, mesh);
         let mut pairs = chosen_pairs(params, inputs.optional("pairs")?, cameras, &points, context)?;
@@ -95,11 +114,24 @@ impl Stage for ForecastPrecision {
                 rows.push(forecast.row(name, Some(baseline_ratio(cameras, pair, &forecast)), None));
             }
         }
-        let seen: Vec<_> = points.iter().map(|point| (*point, visibility.images(point))).collect();
-        let all = survey.forecast(&seen).ok_or_else(|| StageError::new("no part of the face lies in two images"))?;
-        let simulated = inputs.optional::<Raster>("difference")?.and_then(simulated);
-        rows.push(all.row("all images".to_owned(), None, simulated));
-        report(&all, simulated, context);
+        let over = |points: &[Vector3<f64>]| {
+            let seen: Vec<_> = points.iter().map(|point| (*point, visibility.images(point))).collect();
+            survey.forecast(&seen)
+        };
+        let all = over(&points).ok_or_else(|| StageError::new("no part of the face lies in two images"))?;
+        rows.push(all.row("all images".to_owned(), None, None));
+        let compared = difference.map(|difference| {
+            let places = sample_vertices_where(mesh, SAMPLES, &|x, y| has_value(difference, x, y));
+            over(&places).zip(simulated(difference))
+        });
+        let compared = match compared {
+            Some(None) => fail!("the difference has no values where two images see the face"),
+            other => other.flatten(),
+        };
+        if let Some((there, simulated)) = compared {
+            rows.push(there.row("all images, where the difference has values".to_owned(), None, Some(simulated)));
+        }
+        report(&all, compared, context);
         let table: Table = rows.into_iter().collect();
         Ok(Outputs::of("table", table).and("raster", survey.raster(params, mesh, &visibility, all.orientation_m)?))
     }
@@ -117,6 +149,7 @@ table_row! {
         sigma_orientation_m: f64,
         sigma_z_m: f64,
         lod95_m: f64,
+        median_lod95_m: f64,
         simulated_std_m: Option<f64>,
         simulated_nmad_m: Option<f64>,
         simulated_to_forecast: Option<f64>,
@@ -165,7 +198,9 @@ struct Forecast {
     points: usize,
     images: f64,
     gsd_m: f64,
+    /// Root mean square.
     matching_m: f64,
+    median_matching_m: f64,
     orientation_m: f64,
 }
 
@@ -187,24 +222,25 @@ impl<'a> Survey<'a> {
 
     /// Root mean squares over points with the images that see each; `None` where no point has two.
     fn forecast(&self, seen: &[(Vector3<f64>, Vec<usize>)]) -> Option<Forecast> {
-        let (mut count, mut images, mut gsd, mut squares) = (0.0, 0.0, 0.0, 0.0);
+        let (mut images, mut gsd, mut squares) = (0.0, 0.0, 0.0);
+        let mut matching = Vec::new();
         for (point, by) in seen {
             if let Some(expected) = at_point(&self.cameras_of(by), point, &self.direction, &self.matching) {
-                count += 1.0;
                 images += by.len() as f64;
                 gsd += expected.gsd_m;
                 squares += expected.matching_m * expected.matching_m;
+                matching.push(expected.matching_m);
             }
         }
-        if count == 0.0 {
-            return None;
-        }
+        let count = matching.len() as f64;
+        let median_matching_m = median(&mut matching)?;
         let stride = (seen.len() / EFFECT_POINTS).max(1);
         let some: Vec<_> = seen.iter().filter(|(_, by)| by.len() >= 2).step_by(stride).cloned().collect();
         let left = |joint: &Joint| joint.off_plane(self.cameras, &some, &self.direction);
         let orientation_m = self.joint.as_ref().and_then(left).unwrap_or(0.0);
         let matching_m = (squares / count).sqrt();
-        Some(Forecast { points: count as usize, images: images / count, gsd_m: gsd / count, matching_m, orientation_m })
+        let (points, images, gsd_m) = (matching.len(), images / count, gsd / count);
+        Some(Forecast { points, images, gsd_m, matching_m, median_matching_m, orientation_m })
     }
 
     fn raster(
@@ -216,7 +252,11 @@ impl<'a> Survey<'a> {
     ) -> Result<Raster, StageError> {
         let vertices = mesh.surface_vertices();
         let shape = Shape::Mesh(mesh).on_surface(vertices.as_deref());
-        let Some(extent) = extent(shape, None) else { fail!("the mesh has no vertices") };
+        let Some(whole) = extent(shape, None) else { fail!("the mesh has no vertices") };
+        let extent = params.window_m.map_or(whole, |window_m| {
+            let [left, right, bottom, top] = window_m;
+            [whole[0].max(left), whole[1].min(right), whole[2].max(bottom), whole[3].min(top)]
+        });
         let grid = grid_around(extent, params.map_cell_m).map_err(|e| e.hint("choose a larger `map_cell_m`"))?;
         let z = tin(shape, None, &grid);
         let names = ["images", "gsd_m", "sigma_z_m", "lod95_m"];
@@ -252,7 +292,16 @@ fn baseline_ratio(cameras: &Cameras, pair: &[usize; 2], forecast: &Forecast) -> 
 
 impl Forecast {
     fn sigma_m(&self) -> f64 {
-        (self.matching_m * self.matching_m + self.orientation_m * self.orientation_m).sqrt()
+        self.with_orientation(self.matching_m)
+    }
+
+    /// Level of detection at the place in the middle: half of the points have a smaller one.
+    fn median_lod95_m(&self) -> f64 {
+        lod95(self.with_orientation(self.median_matching_m))
+    }
+
+    fn with_orientation(&self, matching_m: f64) -> f64 {
+        (matching_m * matching_m + self.orientation_m * self.orientation_m).sqrt()
     }
 
     fn row(&self, of: String, base_to_distance: Option<f64>, simulated: Option<[f64; 2]>) -> ForecastRow {
@@ -267,11 +316,26 @@ impl Forecast {
             sigma_orientation_m: self.orientation_m,
             sigma_z_m: sigma,
             lod95_m: lod95(sigma),
+            median_lod95_m: self.median_lod95_m(),
             simulated_std_m: simulated.map(|[std, _]| std),
             simulated_nmad_m: simulated.map(|[_, nmad]| nmad),
             simulated_to_forecast: simulated.map(|[std, _]| std / (std::f64::consts::SQRT_2 * sigma)),
         }
     }
+}
+
+/// Whether a place is in a window (left, right, bottom, top), metres; everywhere without one.
+fn in_window(window_m: Option<[f64; 4]>, x: f64, y: f64) -> bool {
+    window_m.is_none_or(|[left, right, bottom, top]| left <= x && x <= right && bottom <= y && y <= top)
+}
+
+/// Whether the first band of a raster has a value at a place.
+fn has_value(raster: &Raster, x: f64, y: f64) -> bool {
+    let grid = &raster.grid;
+    let (column, row) = ((x - grid.left_m) / grid.cell_m, (grid.top_m - y) / grid.cell_m);
+    let inside = column >= 0.0 && row >= 0.0 && column < grid.columns as f64 && row < grid.rows as f64;
+    let value = |band: &Band| band.values[row as usize * grid.columns + column as usize];
+    inside && raster.bands.first().is_some_and(|band| value(band).is_finite())
 }
 
 /// Standard deviation and NMAD of the first band of a difference, metres.
@@ -280,21 +344,24 @@ fn simulated(raster: &Raster) -> Option<[f64; 2]> {
     Some([spread.deviation, spread.nmad])
 }
 
-fn report(all: &Forecast, simulated: Option<[f64; 2]>, context: &Context) {
+fn report(all: &Forecast, compared: Option<(Forecast, [f64; 2])>, context: &Context) {
     let sigma = all.sigma_m();
     context.metric("gsd", all.gsd_m, "m");
     context.metric("sigma_z", sigma, "m");
     context.metric("lod95", lod95(sigma), "m");
-    let compared = simulated.map_or_else(String::new, |[std, _]| {
-        let ratio = std / (std::f64::consts::SQRT_2 * sigma);
-        context.metric("simulated_to_forecast", ratio, "1");
-        format!("; the simulated difference has {ratio:.2} of the forecast's deviation")
+    context.metric("median_lod95", all.median_lod95_m(), "m");
+    let compared = compared.map_or_else(String::new, |(there, [std, _])| {
+        let expected = std::f64::consts::SQRT_2 * there.sigma_m();
+        context.metric("simulated_to_forecast", std / expected, "1");
+        let (std, expected, ratio) = (1000.0 * std, 1000.0 * expected, std / expected);
+        format!("; the simulated difference deviates by {std:.2} mm, the forecast there is {expected:.2} mm (ratio {ratio:.2})")
     });
     context.headline(format!(
-        "forecast: GSD {:.2} mm, depth to {:.2} mm, LoD95 {:.1} mm{compared}",
+        "forecast: GSD {:.2} mm, depth to {:.2} mm, LoD95 {:.1} mm (half of the face has {:.1} mm or less){compared}",
         1000.0 * all.gsd_m,
         1000.0 * sigma,
-        1000.0 * lod95(sigma)
+        1000.0 * lod95(sigma),
+        1000.0 * all.median_lod95_m()
     ));
 }
 

@@ -12,9 +12,14 @@ const FORWARD: f64 = 0.1;
 
 /// At most `limit` vertices of the surface of a mesh, evenly spaced in its vertex list.
 pub fn sample_vertices(mesh: &Mesh, limit: usize) -> Vec<Vector3<f64>> {
-    let count = mesh.surface_points().count();
-    let stride = count.div_ceil(limit.max(1)).max(1);
-    mesh.surface_points().step_by(stride).map(Vector3::from).collect()
+    sample_vertices_where(mesh, limit, &|_, _| true)
+}
+
+/// As [`sample_vertices`], of those whose X and Y are `wanted`.
+pub fn sample_vertices_where(mesh: &Mesh, limit: usize, wanted: &dyn Fn(f64, f64) -> bool) -> Vec<Vector3<f64>> {
+    let points = || mesh.surface_points().filter(|[x, y, _]| wanted(*x, *y));
+    let stride = points().count().div_ceil(limit.max(1)).max(1);
+    points().step_by(stride).map(Vector3::from).collect()
 }
 
 /// Depth along the optical axis, metres, of each point that lies in the image; occlusion is ignored.

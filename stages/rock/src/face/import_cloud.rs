@@ -41,7 +41,7 @@ params! {
         /// Names of the columns of a text file, such as `[x, y, z, intensity, red, green, blue]`, which hold instead of those in
         /// its header; left out, those of the header, or x, y and z come first.
         columns: Option<Vec<String>> = None,
-        /// Classes of points to keep, by their ASPRS numbers: `[2]` for ground alone. LAS and LAZ files only; left out, all but noise (7 and 18).
+        /// Classes of points to keep, by their ASPRS numbers: `[2]` for ground alone. LAS and LAZ files only; left out or `[]`, all but noise (7 and 18).
         classes: Option<Vec<u32>> = None,
         /// A direction out of the rock in the frame of the file; left out, Z in the wall frame, and in the world where the normals of the points show,
         /// or else up.
@@ -82,7 +82,7 @@ impl Stage for ImportCloud {
         let (bytes, system) = context.read_georeferenced(&params.path)?;
         let own_frame = ply::stated_frame(&bytes);
         let tool = if bytes.starts_with(b"LASF") { Tool::Pdal } else { Tool::Other };
-        let listed = params.classes.as_deref();
+        let listed = listed_classes(params);
         let wanted = |class: u8| point_classes::is_kept(listed, class);
         let cloud = cloud::read_classes(bytes, params.columns.as_deref(), &wanted, &|| context.cancelled());
         let mut cloud = cloud.map_err(|e| StageError::new(format!("cannot read `{path}`: {e}")))?;
@@ -138,8 +138,13 @@ impl Stage for ImportCloud {
 ///
 /// # Errors
 /// Classes are listed and the file has none, or no point is of them.
+/// The classes to keep; `None` for all but noise.
+fn listed_classes(params: &ImportCloudParams) -> Option<&[u32]> {
+    params.classes.as_deref().filter(|listed| !listed.is_empty())
+}
+
 fn check_classes(cloud: &Cloud, params: &ImportCloudParams, context: &Context) -> Result<(), StageError> {
-    let (path, listed) = (&params.path.0, params.classes.as_deref());
+    let (path, listed) = (&params.path.0, listed_classes(params));
     if listed.is_some() && cloud.classes.is_empty() {
         fail!(
             "`classes` chooses points of LAS and LAZ files, and `{path}` is of another format, without classes; leave it out"

@@ -24,13 +24,8 @@ const NAMES: [(u8, &str); 12] = [
 
 /// What is wrong with a list of classes to keep, if anything is.
 pub fn fault(listed: Option<&[u32]>) -> Option<String> {
-    match listed? {
-        [] => Some("without a class no point is kept; leave it out for all but noise".to_owned()),
-        listed => {
-            let class = listed.iter().find(|class| **class > u32::from(u8::MAX))?;
-            Some(format!("{class} is no class of LAS files, whose classes are 0 to 255"))
-        }
-    }
+    let class = listed?.iter().find(|class| **class > u32::from(u8::MAX))?;
+    Some(format!("{class} is no class of LAS files, whose classes are 0 to 255"))
 }
 
 /// Whether points of a class are kept: those that are `listed`, or all but noise.

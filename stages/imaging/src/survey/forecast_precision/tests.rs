@@ -106,9 +106,45 @@ fn orientation_errors_add_and_a_difference_is_compared() {
     assert!(orientation > 1e-4 && orientation < matching, "{orientation} {matching}");
     let total = (matching * matching + orientation * orientation).sqrt();
     assert!((cell(&table, 1, "sigma_z_m").unwrap() - total).abs() < 1e-12);
-    assert!((cell(&table, 1, "simulated_std_m").unwrap() - 0.05).abs() < 0.002);
+    assert_eq!(cell(&table, 1, "simulated_std_m"), None);
+    assert_eq!(table.rows[2][0].text(), Some("all images, where the difference has values"));
+    let simulated = cell(&table, 2, "simulated_std_m").unwrap();
+    assert!((simulated - 0.05).abs() < 0.002);
+    let there = cell(&table, 2, "sigma_z_m").unwrap();
+    assert!(there <= total, "the middle of the face is no worse: {there} {total}");
     let ratio = host.metric("simulated_to_forecast").unwrap();
-    assert!((ratio - 0.05 / (2f64.sqrt() * total)).abs() < 0.2, "{ratio}");
+    assert!((ratio - simulated / (2f64.sqrt() * there)).abs() < 1e-9, "{ratio}");
+}
+
+/// Three images in a row: the middle of the face is in all of them, its ends in two, of which the left pair has a third of the baseline.
+#[test]
+fn a_difference_of_a_part_is_held_against_the_forecast_of_that_part() {
+    let sensor = Sensor { f: 1000.0, width_px: 601, height_px: 801, cx: 300.0, cy: 400.0, ..small_sensor() };
+    let image = |name: &str, x: f64| image_at(name, [x, 0.0, 20.0], [0.0; 3]);
+    let images = vec![image("a", -4.0), image("b", -3.0), image("c", 3.0), image("d", 6.0)];
+    let face = height_mesh(60, [-9.0, 9.0, -2.0, 2.0], |_, _| 0.0);
+    let block =
+        || (Cameras { frame: Frame::Wall, sensors: vec![sensor.clone()], images: images.clone() }, face.clone());
+    let grid = Grid { columns: 20, rows: 20, cell_m: 0.1, left_m: 4.0, top_m: 1.0 };
+    let values = (0..400).map(|i| if i % 20 < 10 { 0.01 * (i % 3) as f32 } else { f32::NAN }).collect();
+    let difference = Raster::single(grid, Frame::Wall, "difference", "difference", values);
+    let host = TestHost::default();
+    let more = [("difference", Artefact::Raster(difference.clone()))];
+    let (table, _) = forecast(&host, &json!({"sigma_regular_px": 0.0}), block(), &more).unwrap();
+    let (all, there) = (table.rows.len() - 2, table.rows.len() - 1);
+    let sigma = |row: usize| cell(&table, row, "sigma_z_m").unwrap();
+    assert!(sigma(all) > 1.5 * sigma(there), "{} {}", sigma(all), sigma(there));
+    assert!(cell(&table, all, "median_lod95_m").unwrap() < cell(&table, all, "lod95_m").unwrap());
+    // The same by the window, whose raster ends where it does.
+    let window = json!({"sigma_regular_px": 0.0, "map_cell_m": 0.25, "window_m": [4, 5, -1, 1]});
+    let (cut, raster) = forecast(&host, &window, block(), &[]).unwrap();
+    assert!((cell(&cut, cut.rows.len() - 1, "sigma_z_m").unwrap() / sigma(there) - 1.0).abs() < 0.05);
+    assert!(raster.grid.columns <= 5 && raster.grid.rows <= 9, "{:?}", raster.grid);
+    let error = forecast(&host, &json!({"window_m": [40, 50, -1, 1]}), block(), &[]).unwrap_err();
+    assert!(error.message.contains("window_m"), "{error}");
+    let elsewhere = Raster { grid: Grid { left_m: 40.0, ..grid }, ..difference };
+    let error = forecast(&host, &json!({}), block(), &[("difference", Artefact::Raster(elsewhere))]).unwrap_err();
+    assert!(error.message.contains("no values where two images"), "{error}");
 }
 
 #[test]
