@@ -84,7 +84,7 @@ impl InitArgs {
 }
 
 /// A path as one word of a shell.
-fn for_shell(path: &Path) -> String {
+pub fn for_shell(path: &Path) -> String {
     let text = path.display().to_string();
     let is_plain = |letter: char| letter.is_alphanumeric() || "_-./+,:@%=".contains(letter);
     if text.chars().all(is_plain) { text } else { format!("'{}'", text.replace('\'', r"'\''")) }

@@ -226,7 +226,8 @@ impl State {
         let (done, total) = self.progress();
         let left = self.remaining_s().map(|left| format!(", about {} left", duration(left))).unwrap_or_default();
         let count = self.live().count();
-        let mut lines = vec![format!("{done} of {total} steps done{left}; {count} processes work on it")];
+        let at_work = if count == 1 { "1 process works".to_owned() } else { format!("{count} processes work") };
+        let mut lines = vec![format!("{done} of {total} steps done{left}; {at_work} on it")];
         for (worker, report) in &self.workers {
             let role = if report.role == Role::Run { "run" } else { "work" };
             let state = if worker.is_live { "" } else { ", dead" };

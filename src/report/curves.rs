@@ -10,9 +10,11 @@ use serde::Serialize;
 
 /// Curves of a page at most.
 const CURVES: usize = 24;
-/// Size of a drawing, and the room for its labels, pixels.
+/// Size of a drawing, and the room around it for its labels, pixels.
 const SIZE: [f64; 2] = [300.0, 190.0];
-const LEFT: f64 = 52.0;
+/// Room of a letter of a label on the left, and what lies between label, axis and margin.
+const LETTER: f64 = 7.5;
+const GAP: f64 = 5.0;
 const RIGHT: f64 = 10.0;
 const TOP: f64 = 10.0;
 const BOTTOM: f64 = 36.0;
@@ -169,7 +171,9 @@ fn drawn(curve: &[At], caption: &str, axis: &str, joined: bool) -> String {
     let y0 = curve.iter().map(|at| low(&at.values)).fold(f64::INFINITY, f64::min);
     let y1 = curve.iter().map(|at| high(&at.values)).fold(f64::NEG_INFINITY, f64::max);
     let [width, height] = SIZE;
-    let across = |x: f64| LEFT + (x - x0) / (x1 - x0) * (width - LEFT - RIGHT);
+    let letters = [y0, y1].map(|value| short(value).len()).into_iter().max().unwrap_or_default();
+    let left = 2.0 * GAP + LETTER * letters as f64;
+    let across = |x: f64| left + (x - x0) / (x1 - x0) * (width - left - RIGHT);
     let down = |y: f64| height - BOTTOM - (y - y0) / (y1 - y0) * (height - TOP - BOTTOM);
     let point = |x: f64, y: f64| format!("{:.1},{:.1}", across(x), down(y));
     let line: Vec<String> = curve.iter().map(|at| point(at.x, median(&at.values))).collect();
@@ -191,14 +195,14 @@ fn drawn(curve: &[At], caption: &str, axis: &str, joined: bool) -> String {
         let _ = write!(svg, "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"3\" fill=\"#4477aa\"/>");
     }
     let (bottom, right) = (height - BOTTOM, width - RIGHT);
-    let _ = write!(svg, "<path d=\"M{LEFT} {TOP}V{bottom}H{right}\" fill=\"none\" stroke=\"currentColor\"/>");
+    let _ = write!(svg, "<path d=\"M{left} {TOP}V{bottom}H{right}\" fill=\"none\" stroke=\"currentColor\"/>");
     for (y, value) in [(bottom, y0), (TOP + 8.0, y1)] {
-        let _ = write!(svg, "<text x=\"{}\" y=\"{y:.0}\" text-anchor=\"end\">{}</text>", LEFT - 5.0, short(value));
+        let _ = write!(svg, "<text x=\"{}\" y=\"{y:.0}\" text-anchor=\"end\">{}</text>", left - GAP, short(value));
     }
-    for (x, anchor, value) in [(LEFT, "start", x0), (right, "end", x1)] {
+    for (x, anchor, value) in [(left, "start", x0), (right, "end", x1)] {
         let _ = write!(svg, "<text x=\"{x}\" y=\"{}\" text-anchor=\"{anchor}\">{}</text>", bottom + 15.0, short(value));
     }
-    let middle = 0.5 * (LEFT + right);
+    let middle = 0.5 * (left + right);
     let _ = write!(
         svg,
         "<text x=\"{middle}\" y=\"{}\" text-anchor=\"middle\">{}</text></svg>",

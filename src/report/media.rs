@@ -51,7 +51,7 @@ pub struct Medium {
 /// What the two ends of a colour bar stand for.
 #[derive(Debug, Clone, Serialize)]
 pub struct Colours {
-    /// `viridis`, `red_blue` or `grey`.
+    /// `viridis`, `red_blue`, `grey` or `confusion`.
     pub palette: String,
     /// Values at its ends.
     pub low: Shown,

@@ -93,6 +93,31 @@ fn a_file_leads_to_step_parameters_and_command() {
 }
 
 #[test]
+fn a_file_that_was_read_afterwards_still_leads_to_the_step_that_made_it() {
+    let house = House::new(SMALL);
+    let folder = house.path("Gruppe Müller");
+    std::fs::create_dir(&folder).unwrap();
+    std::fs::copy(house.path("p.yaml"), folder.join("p.yaml")).unwrap();
+    let rockface = |arguments: &[&str]| {
+        let output = house.command(arguments).current_dir(&folder).output().unwrap();
+        assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
+        String::from_utf8(output.stdout).unwrap()
+    };
+    rockface(&["export", "p.yaml", "face.mesh", "face.ply"]);
+    rockface(&["export", "p.yaml", "face.mesh", "plain.ply", "--plain"]);
+    let reader = "rockface: 1\nsteps:\n  scan: {stage: import-mesh, with: {path: face.ply}}\n  other: {stage: import-mesh, with: {path: plain.ply}}\n";
+    std::fs::write(folder.join("q.yaml"), reader).unwrap();
+    rockface(&["run", "q.yaml"]);
+    for file in ["face.ply", "plain.ply"] {
+        let told: serde_json::Value = serde_json::from_str(&rockface(&["inspect", file, "--json"])).unwrap();
+        assert_eq!(told["made by"], "step `face`, port `mesh`", "{file}");
+    }
+    // The command is one that a shell can read, from anywhere above too.
+    let above = house.rockface(&["inspect", "Gruppe Müller/face.ply", "--runs", "Gruppe Müller/.rockface/runs"]).1;
+    assert!(above.contains("rockface run 'Gruppe Müller/.rockface/runs/"), "{above}");
+}
+
+#[test]
 fn a_run_has_one_table_of_all_points_and_steps_have_titles() {
     let titled = "dem: {title: \"Elevations <of the face>\", doc: As one sees it., ";
     let house = House::new(&SMALL.replace("dem: {", titled));

@@ -67,7 +67,7 @@ const MISTAKES: [(&str, &str, &str, usize); 26] = [
     ("epoch: {items: [pre, post]}", "epoch: [pre, post]", "axis `epoch` is a list; a key says what the list is", 1),
     ("over: [epoch], ", "", "no step depends on axis `epoch`", 3),
     ("method: tin}}", "method: tin}", "the `{` of line 9 is not closed", 1),
-    ("  change:", "   change:", "line 10 begins after 3 spaces, the line before it after 2", 1),
+    ("  change:", "   change:", "line 10 begins after 3 spaces, line 9 before it after 2", 1),
     ("  change:", "  dem:", "the key `dem` occurs twice", 1),
     ("surface: face.mesh", "surface: change.raster", "these steps wait for each other in a circle: dem, change", 2),
     (

@@ -6,6 +6,7 @@ use rockface_cache::Digest;
 use serde_json::{Value, json};
 
 use super::super::export::provenance;
+use super::super::init::for_shell;
 use super::super::places::Places;
 use super::Facts;
 use rockface_engine::history::{PastRun, StepDone};
@@ -24,9 +25,14 @@ struct Found<'a> {
 pub fn of(path: &Path, digest: &Digest, bytes: &[u8], places: &Places) -> Facts {
     let stated = provenance::read(path, bytes);
     let original = stated.as_ref().and_then(|facts| facts["digest"].as_str()?.parse().ok());
-    let digest = original.as_ref().unwrap_or(digest);
+    let record = stated.as_ref().and_then(|facts| facts["record"].as_str()?.parse::<Digest>().ok());
     let runs = runs(path, places);
-    let by_digest = runs.iter().rev().filter_map(|run| by_digest(run, digest)).collect::<Vec<_>>();
+    let wanted = original.as_ref().unwrap_or(digest);
+    let mut by_digest = runs.iter().rev().filter_map(|run| by_digest(run, wanted, digest)).collect::<Vec<_>>();
+    // Where several steps made the same, the one that the file names.
+    if by_digest.iter().any(|found| record.is_some() && found.done.key == record) {
+        by_digest.retain(|found| found.done.key == record);
+    }
     let beside = || runs.iter().find_map(|run| beside(run, path));
     match (by_digest.first(), by_digest.len()) {
         (Some(found), count) => {
@@ -71,8 +77,10 @@ fn runs(path: &Path, places: &Places) -> Vec<PastRun> {
     own.map_or_else(|| places.list().map(|(runs, _)| runs).unwrap_or_default(), |run| vec![run])
 }
 
-fn by_digest<'a>(run: &'a PastRun, digest: &Digest) -> Option<Found<'a>> {
-    run.manifest.steps.iter().find_map(|done| {
+/// The step of a run that made the output `digest`. One that read the `file` itself did not make it, even if what it read is its output.
+fn by_digest<'a>(run: &'a PastRun, digest: &Digest, file: &Digest) -> Option<Found<'a>> {
+    let made = |done: &&StepDone| done.files.iter().all(|used| used.blake3 != *file);
+    run.manifest.steps.iter().filter(made).find_map(|done| {
         let (port, _) = done.outputs.iter().flatten().find(|(_, output)| output.digest == *digest)?;
         Some(Found { run, done, port: port.as_str() })
     })
@@ -105,6 +113,6 @@ fn facts(found: &Found, how: &str, runs: String) -> Facts {
         ("pipeline".into(), run.manifest.pipeline.name.clone().into()),
         ("runs".into(), runs.into()),
         ("program".into(), run.manifest.made_by().into()),
-        ("make again".into(), format!("rockface run {} --target {}", manifest.display(), done.step).into()),
+        ("make again".into(), format!("rockface run {} --target {}", for_shell(&manifest), done.step).into()),
     ]
 }

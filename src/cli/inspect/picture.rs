@@ -56,6 +56,12 @@ pub fn show(sketches: &[Sketch]) -> Result<(), CliError> {
 fn caption(sketch: &Sketch, picture: &PictureSketch) -> String {
     let Some(key) = &picture.colours else { return sketch.part.clone() };
     let reduced = if sketch.reduced.is_empty() { String::new() } else { format!(", {}", sketch.reduced) };
+    if key.palette == "confusion" {
+        return format!(
+            "{}: white neither, blue found, orange false, red missed{reduced}; grey: not compared",
+            key.quantity
+        );
+    }
     let (low, high, unit) = (key.low, key.high, &key.unit);
     format!("{}: {} from {low:.4} to {high:.4} {unit}{reduced}; grey: no value", key.quantity, key.palette)
 }

@@ -2,6 +2,8 @@
 
 use std::ops::Range;
 
+use super::outline;
+
 /// A slip: the bytes at fault, what is wrong, and the way out.
 #[derive(Debug, PartialEq, Eq)]
 pub struct Slip {
@@ -24,7 +26,7 @@ pub fn slip(text: &str, at: usize, reason: &str) -> Option<Slip> {
         .or_else(|| pick(text, at))
         .or_else(|| reason.contains("misplaced bracket").then(|| surplus(text, at)).flatten())
         .or_else(|| reason.contains("flow").then(|| missing_colon(text, at).or_else(|| unclosed(text, at))).flatten())
-        .or_else(|| reason.contains("block mapping").then(|| crooked(text, at)).flatten())
+        .or_else(|| outline::slip(text, at))
 }
 
 /// The bytes of the line that holds a byte, and its number from one.
@@ -151,21 +153,6 @@ fn unclosed(text: &str, at: usize) -> Option<Slip> {
     Some(Slip { bytes: place..place + 1, message, hint: format!("add `{close}` where it ends, before line {here}") })
 }
 
-/// A line that begins in another column than the keys before it.
-fn crooked(text: &str, at: usize) -> Option<Slip> {
-    let (line, number) = line_at(text, at);
-    let indent = |line: &str| line.len() - line.trim_start_matches(' ').len();
-    let is_content = |line: &&str| !line.trim().is_empty() && !line.trim_start().starts_with('#');
-    let former = text[..line.start].lines().rev().find(is_content)?;
-    let (own, other) = (indent(&text[line.clone()]), indent(former));
-    if own == other {
-        return None;
-    }
-    let message = format!("line {number} begins after {own} spaces, the line before it after {other}");
-    let bytes = line.start..(line.start + own).max(line.start + 1).min(text.len());
-    Some(Slip { bytes, message, hint: "keys of one map begin in one column".to_owned() })
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -183,9 +170,6 @@ mod tests {
         assert_eq!(told("a: {b: 1}}\n", "}\n", "misplaced bracket"), "this `}` closes nothing");
         assert_eq!(told("a: {in: {b: c}, with {d: 1}}", "{d", flow), "a colon is missing after `with`");
         assert_eq!(told("a: {b: 1 # {\nc: 2\n", "c: 2", flow), "the `{` of line 1 is not closed");
-        let crooked =
-            told("s:\n   a: {b: 1}\n  c: 2\n", "c: 2", "while parsing a block mapping, did not find expected key");
-        assert_eq!(crooked, "line 3 begins after 2 spaces, the line before it after 3");
         assert_eq!(told("x: \"a.b[c=d]\" y", "y", ""), "");
         let escape = "while parsing a quoted scalar, found unknown escape character";
         let path = slip(r#"a: {path: "C:\new\Daten\a.ply"}"#, 10, escape).unwrap();

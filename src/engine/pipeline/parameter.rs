@@ -9,11 +9,31 @@ use super::reader::Reader;
 use super::substitute::mentioned;
 use crate::diagnostic::{Diagnostic, Span, listed};
 
-/// The way out for a text that is a number with a decimal comma.
-pub fn with_point(text: &str) -> Option<String> {
+/// The way out for a text that is meant as a number: one with a decimal comma, or with its unit.
+pub fn as_number(text: &str) -> Option<String> {
     let number = text.replace(',', ".");
-    let is_number = text.contains(',') && number.parse::<f64>().is_ok();
-    is_number.then(|| format!("numbers are written with a point: {number}"))
+    if text.contains(',') && number.parse::<f64>().is_ok() {
+        return Some(format!("numbers are written with a point: {number}"));
+    }
+    let unit = text.trim_start_matches(|letter: char| letter.is_ascii_digit() || "+-.,".contains(letter));
+    let value = &text[..text.len() - unit.len()];
+    let is_unit =
+        !unit.trim().is_empty() && unit.trim().chars().all(|letter| letter.is_alphabetic() || "°%²³/".contains(letter));
+    (is_unit && value.replace(',', ".").parse::<f64>().is_ok()).then(|| {
+        format!(
+            "a number is written without `{}`: the end of a name has its unit, such as `_m` for metres",
+            unit.trim()
+        )
+    })
+}
+
+/// The way out for a name with a space that looks like one and is none, as word processors and web pages have it.
+pub fn odd_space(name: &str) -> Option<String> {
+    let space = name.chars().find(|letter| letter.is_whitespace() && !letter.is_ascii() || *letter == '\u{200b}')?;
+    Some(format!(
+        "a no-break space (U+{:04X}) stands in it, as word processors write them: put a plain space in its place",
+        space as u32
+    ))
 }
 
 /// A parameter with its type.
@@ -201,7 +221,7 @@ impl Declared {
             format!("parameter `{name}` cannot be {stray}: {}", self.range())
         };
         let mut fault = Diagnostic::at(span, message).also(self.name.span, format!("`{name}` is declared here"));
-        if let Some(hint) = value.as_str().filter(|_| !self.kind.fits(value)).and_then(with_point) {
+        if let Some(hint) = value.as_str().filter(|_| !self.kind.fits(value)).and_then(as_number) {
             fault = fault.hint(hint);
         }
         Some(if self.choices.is_empty() { fault } else { fault.hint(format!("one of: {}", self.choice_words())) })
@@ -294,6 +314,17 @@ mod tests {
         let key = Key { span: Span::default(), name: "x".into() };
         let found = Reader::new(&mut faults).declared(&key, &node);
         faults.first().map_or_else(|| found.ok_or_else(String::new), |fault| Err(fault.message.clone()))
+    }
+
+    #[test]
+    fn numbers_with_a_comma_or_a_unit_and_odd_spaces_have_a_way_out() {
+        assert!(as_number("0,05").unwrap().ends_with("with a point: 0.05"));
+        for text in ["5 cm", "4m", "-1.5 °", "2,5 m²"] {
+            assert!(as_number(text).is_some_and(|hint| hint.contains("written without `")), "{text}");
+        }
+        assert!(["wide", "a4", "1.2.3 m", "", "cm", "4 of 5"].into_iter().all(|text| as_number(text).is_none()));
+        assert!(odd_space("width_m:\u{a0}4").unwrap().contains("(U+00A0)"));
+        assert_eq!(odd_space("width m"), None);
     }
 
     #[test]

@@ -15,7 +15,7 @@ use super::missing::Missing;
 use super::side_files;
 use super::sight::{Sight, one_file};
 use crate::diagnostic::{Diagnostic, Span, nearest};
-use crate::pipeline::{INSIDE, Node, filled, mentioned, parted, value_of, with_point};
+use crate::pipeline::{INSIDE, Node, as_number, filled, mentioned, odd_space, parted, value_of};
 
 /// The column of a table that names its rows; without it they are numbered.
 pub const NAME_COLUMN: &str = "item";
@@ -188,13 +188,14 @@ pub fn told(place: &Place, with: &Value, fault: &Fault) -> Diagnostic {
     let written = fault.path.last().map_or_else(String::new, Clone::clone);
     let given = if fault.at_key { written } else { value_at(with, &fault.path) };
     let is_digits = fault.at_key && !given.is_empty() && given.bytes().all(|byte| byte.is_ascii_digit());
-    let fault = match with_point(&given) {
+    let hint = if fault.at_key { odd_space(&given) } else { as_number(&given) };
+    let fault = match hint {
         // `{cell_m: 0,05}` is read as `{cell_m: 0, 05: }`.
         _ if is_digits => {
             Diagnostic::at(at, message).hint("numbers are written with a point: a comma begins the next entry")
         }
-        Some(hint) if !fault.at_key => Diagnostic::at(at, message).hint(hint),
-        _ => Diagnostic::at(at, message).suggest(&given, fault.known.iter().map(String::as_str)),
+        Some(hint) => Diagnostic::at(at, message).hint(hint),
+        None => Diagnostic::at(at, message).suggest(&given, fault.known.iter().map(String::as_str)),
     };
     // What a use gives stands beside the use; the step that it does not fit stands in the part.
     let is_given = place.step.contains(INSIDE) && at.source != place.span.source;

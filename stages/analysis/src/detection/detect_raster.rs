@@ -89,7 +89,7 @@ pub struct DetectRaster;
 impl Stage for DetectRaster {
     type Params = DetectRasterParams;
     const NAME: &'static str = "detect-raster";
-    const VERSION: u32 = 5;
+    const VERSION: u32 = 6;
     const PAGE: Page = Page::new(include_str!("detect_raster.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("difference", &[Kind::Raster], "Comparison minus reference, one band."),
@@ -123,10 +123,13 @@ impl Stage for DetectRaster {
         let sign = params.change.sign();
         let lost: Vec<f64> = band.values.iter().map(|d| sign * f64::from(*d)).collect();
         let limits = limits(&params.lod, &band.values, [reference, comparison], difference.grid.columns)?;
-        warn_of_low_limit(&params.lod, &limits, &band.values, context);
         let limit = quantile::median(&mut marginal::known(&limits)).unwrap_or(f64::NAN);
-        warn_of_offset(limit, &band.values, context);
-        warn_of_uneven_noise(&params.lod, difference, context);
+        let explained = warn_of_low_limit(&params.lod, &limits, &band.values, context)
+            | warn_of_offset(limit, &band.values, context)
+            | warn_of_uneven_noise(&params.lod, difference, context);
+        if !explained {
+            warn_of_heavy_tails(&lost, &limits, params.change, context);
+        }
         warn_of_single_cells(params, difference.grid.cell_m, context);
         let found = detect(params, difference, &lost, &limits, reference);
         let tested = tested(&limits, &lost, reference, difference.grid.cell_m)?;
@@ -177,39 +180,66 @@ fn limits(
     }
 }
 
-/// Noise beyond a limit that does not come from the difference itself counts as change.
-fn warn_of_low_limit(limit: &Limit, limits: &[f32], difference: &[f32], context: &Context) {
+/// Noise beyond a limit that does not come from the difference itself counts as change. Returns whether it warned.
+fn warn_of_low_limit(limit: &Limit, limits: &[f32], difference: &[f32], context: &Context) -> bool {
     let lod_m = match limit {
         Limit::Fixed(FixedLimit { lod_m }) => lod_m,
-        Limit::Empirical(_) => return,
+        Limit::Empirical(_) => return false,
         Limit::Quadrature(_) | Limit::Lague(_) => {
             let way = "raise `registration_m`, or take `lod: {empirical: {}}`";
             let told = limit::low(limits, difference);
-            return told.into_iter().for_each(|told| context.warn(format!("{told}: noise counts as change; {way}")));
+            told.iter().for_each(|told| context.warn(format!("{told}: noise counts as change; {way}")));
+            return told.is_some();
         }
     };
     let least_m = NORMAL_95 * marginal::nmad(difference);
-    if *lod_m < least_m {
+    let is_low = *lod_m < least_m;
+    if is_low {
         context.warn(format!(
             "the limit of detection, {lod_m} m, is less than 1.96 times the spread (NMAD) of the difference, {least_m:.3} m: noise counts \
              as change; raise `lod_m`, or take `lod: {{empirical: {{}}}}`"
         ));
     }
+    is_low
 }
 
 /// The part of the limit by which a difference may lie off zero: with more, the cells without change beyond a limit of 1.96 times the
 /// spread are more than twice as many on one side.
 const OFFSET_SHARE: f64 = 0.15;
 
-/// A limit says how far differences without change lie from zero, not from their middle.
-fn warn_of_offset(limit: f64, difference: &[f32], context: &Context) {
-    let Some(offset) = quantile::median(&mut marginal::known(difference)) else { return };
-    if offset.abs() > OFFSET_SHARE * limit {
+/// A limit says how far differences without change lie from zero, not from their middle. Returns whether it warned.
+fn warn_of_offset(limit: f64, difference: &[f32], context: &Context) -> bool {
+    let Some(offset) = quantile::median(&mut marginal::known(difference)) else { return false };
+    let is_off = offset.abs() > OFFSET_SHARE * limit;
+    if is_off {
         context.warn(format!(
             "half of the differences lie above {:.1} mm, where without change it is 0, and the limit of detection is {:.1} mm: the offset \
              counts as change and in its volumes; register the epochs on what is stable (`register-icp`)",
             1e3 * offset,
             1e3 * limit
+        ));
+    }
+    is_off
+}
+
+/// Share of the cells beyond the limit on the side that is not looked for, from which on a warning is due: noise of a normal distribution has
+/// 2.5 % there at a limit of 95 %.
+const TAIL_SHARE: f64 = 0.04;
+
+/// Where nothing else explains it, many cells beyond the limit on the other side are noise with heavier tails than a normal distribution, or changes
+/// of the other kind.
+fn warn_of_heavy_tails(lost: &[f64], limits: &[f32], change: Change, context: &Context) {
+    let known = || lost.iter().zip(limits).filter(|(lost, limit)| !lost.is_nan() && !limit.is_nan());
+    let beyond = known().filter(|(lost, limit)| **lost < -f64::from(**limit)).count();
+    let share = beyond as f64 / known().count().max(1) as f64;
+    if share > TAIL_SHARE {
+        let other = if change == Change::Loss { Change::Gain } else { Change::Loss };
+        context.warn(format!(
+            "{:.1} % of the cells are beyond the limit of detection as a {}, where normally distributed noise has 2.5 %: noise with heavier tails is as often \
+             beyond it as a {}; raise the limit (`factor` or `lod_m`) or `min_area_m2`, unless there are changes of both kinds",
+            100.0 * share,
+            other.word(),
+            change.word()
         ));
     }
 }
@@ -221,10 +251,11 @@ const FEWEST_WINDOWS: usize = 16;
 /// From how many times the spread of a quiet window (10 %) that of a noisy one (90 %) is called uneven.
 const UNEVEN: f64 = 3.0;
 
-/// One limit for all cells is too large in one place and too small in another where the noise is not the same everywhere.
-fn warn_of_uneven_noise(limit: &Limit, difference: &Raster, context: &Context) {
+/// One limit for all cells is too large in one place and too small in another where the noise is not the same everywhere. Returns whether it
+/// warned.
+fn warn_of_uneven_noise(limit: &Limit, difference: &Raster, context: &Context) -> bool {
     if !matches!(limit, Limit::Fixed(_) | Limit::Empirical(_)) {
-        return;
+        return false;
     }
     let (grid, values) = (&difference.grid, &difference.bands[0].values);
     let mut windows: Vec<Vec<f32>> = vec![Vec::new(); WINDOWS * WINDOWS];
@@ -235,7 +266,8 @@ fn warn_of_uneven_noise(limit: &Limit, difference: &Raster, context: &Context) {
     }
     let spreads: Vec<f64> = windows.iter().filter(|w| w.len() >= WINDOW_CELLS).map(|w| marginal::nmad(w)).collect();
     let quiet_and_noisy = [0.1, 0.9].map(|share| quantile::quantile(&spreads, share).unwrap_or(0.0));
-    if spreads.len() >= FEWEST_WINDOWS && quiet_and_noisy[1] > UNEVEN * quiet_and_noisy[0] {
+    let is_uneven = spreads.len() >= FEWEST_WINDOWS && quiet_and_noisy[1] > UNEVEN * quiet_and_noisy[0];
+    if is_uneven {
         let [quiet, noisy] = quiet_and_noisy.map(|spread| 1e3 * spread);
         context.warn(format!(
             "the noise is uneven: its spread (NMAD) is {quiet:.1} mm in quiet places and {noisy:.1} mm in noisy ones; with one limit for all \
@@ -243,6 +275,7 @@ fn warn_of_uneven_noise(limit: &Limit, difference: &Raster, context: &Context) {
              or crop to places that are alike"
         ));
     }
+    is_uneven
 }
 
 /// Says what is not known of changes without elevations. It is worth a warning where the places in the world could be known.

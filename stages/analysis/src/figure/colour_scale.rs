@@ -17,7 +17,13 @@ pub enum Palette {
     RedBlue,
     /// Black for the smallest, white for the largest value.
     Grey,
+    /// A colour for each of the numbers of [`CONFUSION`], which are no amounts.
+    Confusion,
 }
+
+/// What the numbers of the quantity `confusion` mean, from 0 on, and their colours (Tol, bright).
+pub const CONFUSION: [(&str, Colour); 4] =
+    [("neither", [244, 244, 244]), ("found", [0, 119, 187]), ("false", [238, 119, 51]), ("missed", [204, 51, 17])];
 
 /// A palette over a range of values.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -42,6 +48,10 @@ impl ColourScale {
             Palette::Cividis => colorous::CIVIDIS,
             Palette::RedBlue => colorous::RED_BLUE,
             Palette::Grey => return [(20.0 + 235.0 * t).round() as u8; 3],
+            Palette::Confusion => {
+                let (_, colour) = CONFUSION[(value.round().max(0.0) as usize).min(CONFUSION.len() - 1)];
+                return colour;
+            }
         };
         gradient.eval_continuous(t).as_array()
     }

@@ -12,7 +12,7 @@ use rockface_raster::shape::Shape;
 choice! {
     /// The colours.
     pub enum PictureColours {
-        /// Red to blue for differences, viridis for everything else.
+        /// Red to blue for differences, a colour for each class of a confusion, viridis for everything else.
         Automatic = "automatic",
         /// Perceptually uniform, dark blue to yellow.
         Viridis = "viridis",
@@ -50,7 +50,7 @@ pub struct DrawPicture;
 impl Stage for DrawPicture {
     type Params = DrawPictureParams;
     const NAME: &'static str = "draw-picture";
-    const VERSION: u32 = 4;
+    const VERSION: u32 = 5;
     const PAGE: Page = Page::new(include_str!("draw_picture.md"));
     const INPUTS: &'static [Port] = &[Port::one(
         "subject",
@@ -153,6 +153,19 @@ mod tests {
         assert!((difference.low + difference.high).abs() < 1e-12 && difference.palette == Palette::RedBlue);
         let elevation = scale(raster("elevation", shifted));
         assert!((elevation.low + elevation.high - 0.02).abs() < 1e-3 && elevation.palette == Palette::Viridis);
+    }
+
+    #[test]
+    fn a_confusion_has_a_colour_for_each_class() {
+        let classes = |i: usize| [0.0, 1.0, 2.0, 3.0, 255.0][i % 5];
+        let confusion = raster("confusion", (0..900).map(classes).collect());
+        let look = Look::of_raster(&confusion, None).unwrap();
+        let scale = scale(&look, &DrawPictureParams::default()).unwrap();
+        let colours: Vec<_> = look.values[..5].iter().map(|value| scale.colour(f64::from(*value))).collect();
+        let distinct: std::collections::BTreeSet<_> = colours.iter().collect();
+        assert!(distinct.len() == 5 && look.values[4].is_nan(), "{colours:?}");
+        assert!(run(&json!({}), confusion).is_ok());
+        assert!(run(&json!({}), raster("confusion", vec![255.0; 900])).is_err());
     }
 
     #[test]

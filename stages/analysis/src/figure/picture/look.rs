@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 
-use crate::figure::colour_scale::{ColourScale, Palette, length};
+use crate::figure::colour_scale::{CONFUSION, ColourScale, Palette, length};
 use rockface_core::StageError;
 use rockface_core::artefact::{Depth, Grid, Raster};
 use rockface_core::numerics::quantile::nearest_rank;
@@ -14,6 +14,9 @@ use super::Subject;
 const TAILS: f64 = 0.005;
 /// Share of the absolute differences within the colours.
 const DIFFERENCES: f64 = 0.98;
+
+/// The quantity whose values are numbers of classes, and no value from the number of classes on.
+const CLASSES: &str = "confusion";
 
 /// A grid of values and what they are.
 #[derive(Debug, Clone, PartialEq)]
@@ -45,10 +48,15 @@ impl<'a> Look<'a> {
         };
         let names = || raster.bands.iter().map(|b| b.name.as_str()).collect::<Vec<_>>();
         let band = found.ok_or_else(|| no_band(band.unwrap_or("(first)"), &names()))?;
+        let values = if raster.quantity == CLASSES {
+            band.values.iter().map(|value| if *value < CONFUSION.len() as f32 { *value } else { f32::NAN }).collect()
+        } else {
+            Cow::from(&band.values)
+        };
         let suffix = if raster.bands.len() > 1 { format!(": {}", band.name) } else { String::new() };
         Ok(Self {
             columns: raster.grid.columns,
-            values: (&band.values).into(),
+            values,
             cell_m: Some(raster.grid.cell_m),
             quantity: raster.quantity.clone(),
             title: format!("{}{suffix}", capitalised(&raster.quantity)),
@@ -110,8 +118,12 @@ impl<'a> Look<'a> {
 
     /// Colours that suit the values: diverging from zero for differences, in this palette or the one that suits; to
     /// `range_m` from zero or from the median, or so far that they hold 98 % of the differences, 99 % of elevations and
-    /// depths, all of everything else. `None` where nothing has a value.
+    /// depths, all of everything else; one for each class of a confusion. `None` where nothing has a value.
     pub fn scale(&self, palette: Option<Palette>, range_m: Option<f64>) -> Option<ColourScale> {
+        if self.quantity == CLASSES && palette.is_none() {
+            let some = self.values.iter().any(|value| !value.is_nan());
+            return some.then_some(ColourScale { palette: Palette::Confusion, low: 0.0, high: 3.0 });
+        }
         let diverging = self.quantity == "difference";
         let suiting = if diverging { Palette::RedBlue } else { Palette::Viridis };
         let (low, high) = if diverging { self.symmetric(range_m)? } else { self.around_the_median(range_m)? };

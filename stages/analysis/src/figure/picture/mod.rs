@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use rockface_core::artefact::CodecError;
 
 use super::canvas::{Align, Canvas, Colour, Pen};
-use super::colour_scale::{ColourScale, NO_DATA, labels, length, round_step, rounded};
+use super::colour_scale::{CONFUSION, ColourScale, NO_DATA, Palette, labels, length, round_step, rounded};
 
 pub mod look;
 pub mod mosaic;
@@ -225,6 +225,9 @@ fn draw_bar(
     layout: &Layout,
     [x, top, height]: [usize; 3],
 ) -> Result<(), CodecError> {
+    if subject.scale.palette == Palette::Confusion {
+        return draw_classes(canvas, layout, [x, top]);
+    }
     let (scale, (unit, per_one), bar_width) = (&subject.scale, subject.unit, layout.bar_width);
     let span = scale.high - scale.low;
     for row in 0..height {
@@ -251,6 +254,20 @@ fn draw_bar(
     }
     let middle = (x + bar_width / 2) as f32;
     canvas.text(&pen, middle, top as f32 - 11.0 * layout.unit, Align::Middle, unit);
+    Ok(())
+}
+
+/// Draws what the colours of a confusion mean, in place of a colour bar.
+fn draw_classes(canvas: &mut Canvas, layout: &Layout, [x, top]: [usize; 2]) -> Result<(), CodecError> {
+    let pen = Pen::plain(layout.text_px, INK)?;
+    let side = layout.text_px as usize + 1;
+    for (row, (name, colour)) in CONFUSION.into_iter().enumerate() {
+        let y = top + row * 3 * side / 2;
+        canvas.fill(x, y, layout.bar_width, side, colour);
+        canvas.frame(x, y, layout.bar_width, side, FAINT);
+        let left = (x + layout.bar_width) as f32 + 0.65 * layout.text_px;
+        canvas.text(&pen, left, (y + side / 2) as f32, Align::Left, name);
+    }
     Ok(())
 }
 

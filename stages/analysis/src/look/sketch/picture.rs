@@ -4,7 +4,7 @@
 //! and kept between 1 and 255 otherwise, so that values can be had back from the picture to 1/254 of its range.
 
 use super::{every, left_out, stride_to};
-use crate::figure::colour_scale::{ColourScale, NO_DATA, Palette, round_step, rounded};
+use crate::figure::colour_scale::{CONFUSION, ColourScale, NO_DATA, Palette, round_step, rounded};
 use rockface_core::artefact::sketch::{ColourKey, GridBand, GridSketch, PictureSketch, Shape, Sketch};
 use rockface_core::artefact::{Depth, Picture, Raster};
 use rockface_core::numerics::quantile::nearest_rank;
@@ -105,7 +105,11 @@ fn diverges(quantity: &str) -> bool {
 fn false_colours(field: &Field) -> Option<Sketch> {
     let rows = field.values.len().checked_div(field.columns)?;
     let stride = stride_to(field.columns.max(rows), PICTURE_PX);
-    let (width, values) = sampled(field.values, field.columns, stride);
+    let (width, mut values) = sampled(field.values, field.columns, stride);
+    if field.quantity == "confusion" {
+        // Numbers beyond the classes are no class.
+        values.iter_mut().filter(|value| **value >= CONFUSION.len() as f32).for_each(|value| *value = f32::NAN);
+    }
     let height = values.len().checked_div(width)?;
     let (word, scale) = scale(field.quantity, &values);
     let png = indexed_png(width, height, &values, &scale)?;
@@ -138,6 +142,9 @@ fn sampled(values: &[f32], columns: usize, stride: usize) -> (usize, Vec<f32>) {
 
 /// The colours of a quantity: all but the outermost values lie within.
 fn scale(quantity: &str, values: &[f32]) -> (&'static str, ColourScale) {
+    if quantity == "confusion" {
+        return ("confusion", ColourScale { palette: Palette::Confusion, low: 0.0, high: 3.0 });
+    }
     let at = |share| nearest_rank(values.iter().copied(), share).unwrap_or(0.0);
     let (word, palette, low, high) = if diverges(quantity) {
         let reach = nearest_rank(values.iter().map(|v| v.abs()), 1.0 - TAILS).unwrap_or(0.0);
