@@ -6,6 +6,7 @@ pub mod covariance_files;
 pub mod covariance_sampling;
 pub mod depth_pixel;
 pub mod depth_window;
+mod far_cameras;
 pub mod model;
 pub mod orientation;
 pub mod orientation_parameters;
