@@ -7,6 +7,8 @@ pub mod covariance_sampling;
 pub mod depth_pixel;
 pub mod depth_window;
 mod far_cameras;
+mod geocentric;
+mod map_projection;
 pub mod model;
 pub mod orientation;
 pub mod orientation_parameters;
