@@ -108,8 +108,8 @@ fn refer(file: &mut CameraFile, reference: Option<Stated>) {
         _ if on_earth => file.geocentric = Some(reference),
         Kind::Unknown => file.stated = Some(reference),
         _ => file.warnings.push(format!(
-            "the chunk is referenced to `{}`, but its centres are not geocentric (Earth-centred X, Y, Z in metres), as Metashape writes those of a chunk \
-             that is placed in such a system: they are taken for metres as they stand; `crs` says in which system, where they are in one",
+            "the chunk is referenced to `{}`: of a chunk placed in such a system its centres are geocentric (Earth-centred X, Y, Z in metres), but these are far \
+             from the surface of the Earth, and are taken for metres as they stand; `crs` says in which system, where they are in one",
             reference.name
         )),
     }

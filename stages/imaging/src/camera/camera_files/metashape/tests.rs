@@ -126,7 +126,7 @@ fn unknown_scale_is_warned_of_and_geocentric_centres_are_told() {
     let geographic = document().replace("LOCAL_CS[\"Local\"", "GEOGCS[\"WGS 84\"");
     let file = read(&geographic, Frame::World).unwrap();
     assert!(
-        file.warnings.len() == 2 && file.warnings[1].contains("`WGS 84`, but its centres are not geocentric"),
+        file.warnings.len() == 2 && file.warnings[1].contains("from the surface of the Earth"),
         "{:?}",
         file.warnings
     );

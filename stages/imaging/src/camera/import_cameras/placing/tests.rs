@@ -71,7 +71,7 @@ fn system(code: &str) -> String {
 const WGS_84: &str = "GEOGCS[\"WGS 84\",DATUM[\"World Geodetic System 1984 ensemble\",SPHEROID[\"WGS 84\",6378137,298.257223563]],\
                       PRIMEM[\"Greenwich\",0],UNIT[\"degree\",0.0174532925199433]]";
 
-fn import(text: &str, with: Value) -> (Result<(Cameras, Covariance), StageError>, TestHost) {
+fn import(text: &str, with: &Value) -> (Result<(Cameras, Covariance), StageError>, TestHost) {
     let host = TestHost::default().with("block", &[("block.xml", text.as_bytes())]);
     let mut params = json!({"path": "block"});
     params.as_object_mut().unwrap().extend(with.as_object().unwrap().clone());
@@ -100,7 +100,7 @@ fn off_px(cameras: &Cameras, chunk: &Chunk, scale: f64) -> Vec<f64> {
 #[test]
 fn points_of_the_map_fall_where_they_are_seen_in_geocentric_coordinates() {
     for (chunk, scale) in [(TRUE_TO_SCALE, 1.0), (SCALED, 0.999_569_8)] {
-        let (made, host) = import(&xml(&chunk, &system("EPSG:32632")), json!({}));
+        let (made, host) = import(&xml(&chunk, &system("EPSG:32632")), &json!({}));
         let (cameras, _) = made.unwrap();
         assert_eq!(cameras.frame.crs().unwrap().epsg(), Some(32632));
         let centre = cameras.images[0].centre() - Vector3::from_column_slice(&numbers(chunk.centre_m));
@@ -124,7 +124,7 @@ fn points_of_the_map_fall_where_they_are_seen_in_geocentric_coordinates() {
 
 #[test]
 fn the_covariance_of_centres_turns_along() {
-    let (made, _) = import(&xml(&SCALED, &system("EPSG:32632")), json!({}));
+    let (made, _) = import(&xml(&SCALED, &system("EPSG:32632")), &json!({}));
     let (cameras, covariance) = made.unwrap();
     assert_eq!((covariance.frame.crs(), covariance.parameters.len()), (cameras.frame.crs(), 3));
     for (found, known) in covariance.matrix.concat().iter().zip(numbers(SCALED.on_map)) {
@@ -136,15 +136,15 @@ fn the_covariance_of_centres_turns_along() {
 #[test]
 fn a_geographic_chunk_needs_the_system_that_is_wanted() {
     let geographic = xml(&SCALED, WGS_84);
-    let error = import(&geographic, json!({})).0.unwrap_err();
+    let error = import(&geographic, &json!({})).0.unwrap_err();
     assert!(error.message.contains("referenced to `WGS 84`, so its centres are geocentric"), "{error}");
     assert!(error.hint.as_ref().unwrap().contains("`crs: EPSG:32632`"), "{error:?}");
-    let (made, host) = import(&geographic, json!({"crs": "EPSG:32632"}));
-    let own = import(&xml(&SCALED, &system("EPSG:32632")), json!({})).0.unwrap();
+    let (made, host) = import(&geographic, &json!({"crs": "EPSG:32632"}));
+    let own = import(&xml(&SCALED, &system("EPSG:32632")), &json!({})).0.unwrap();
     assert_eq!(made.unwrap(), own);
     assert!(!host.warnings().iter().any(|text| text.contains("datum")), "{:?}", host.warnings());
     // ETRS 89 is taken for WGS 84, with a warning.
-    let (made, host) = import(&geographic, json!({"crs": "EPSG:25832"}));
+    let (made, host) = import(&geographic, &json!({"crs": "EPSG:25832"}));
     let moved = made.unwrap().0.images[0].centre() - own.0.images[0].centre();
     assert!(moved.norm() < 1e-3, "{moved}");
     assert!(host.warnings().iter().any(|text| text.contains("taken for the same")), "{:?}", host.warnings());
@@ -152,20 +152,20 @@ fn a_geographic_chunk_needs_the_system_that_is_wanted() {
 
 #[test]
 fn what_cannot_be_brought_to_a_map_says_why() {
-    let says = |text: &str, with: Value, message: &str, hint: &str| {
+    let says = |text: &str, with: &Value, message: &str, hint: &str| {
         let error = import(text, with).0.unwrap_err();
         assert!(error.message.contains(message), "{error}");
         assert!(error.hint.as_ref().is_some_and(|own| own.contains(hint)), "{error:?}");
     };
     let chunk = xml(&SCALED, WGS_84);
-    says(&chunk, json!({"crs": "EPSG:31467"}), "no datum is shifted here", "Reference > Convert");
-    says(&chunk, json!({"crs": "EPSG:32632", "frame": "wall"}), "not in a wall frame", "transform-crs");
-    says(&chunk, json!({"frame": "wall"}), "not in a wall frame", "transform-crs");
-    says(&chunk, json!({"crs": "EPSG:3035"}), "its projection is not computed here", "the zone is EPSG:32632");
-    says(&chunk, json!({"crs": "EPSG:32655"}), "", "its UTM zone is EPSG:32632");
-    says(&chunk, json!({"crs": "EPSG:32632+5773"}), "no geoid is known here", "`crs: EPSG:32632`");
+    says(&chunk, &json!({"crs": "EPSG:31467"}), "no datum is shifted here", "Reference > Convert");
+    says(&chunk, &json!({"crs": "EPSG:32632", "frame": "wall"}), "not in a wall frame", "transform-crs");
+    says(&chunk, &json!({"frame": "wall"}), "not in a wall frame", "transform-crs");
+    says(&chunk, &json!({"crs": "EPSG:3035"}), "its projection is not computed here", "the zone is EPSG:32632");
+    says(&chunk, &json!({"crs": "EPSG:32655"}), "", "its UTM zone is EPSG:32632");
+    says(&chunk, &json!({"crs": "EPSG:32632+5773"}), "no geoid is known here", "`crs: EPSG:32632`");
     let with = json!({"crs": "EPSG:32632+5773", "offset_m": [0.0, 0.0, -50.0]});
-    let (made, host) = import(&chunk, with);
+    let (made, host) = import(&chunk, &with);
     let (cameras, _) = made.unwrap();
     assert!((cameras.images[0].centre_m[2] - 820.0).abs() < 1e-5);
     assert_eq!(cameras.frame.crs().unwrap().vertical_epsg(), Some(5773));
@@ -175,17 +175,24 @@ fn what_cannot_be_brought_to_a_map_says_why() {
 #[test]
 fn centres_in_map_coordinates_are_taken_as_they_stand() {
     let translation = "407081.45 5094747.49 870";
-    let (made, host) = import(&xml(&Chunk { translation, ..SCALED }, &system("EPSG:32632")), json!({}));
+    let (made, host) = import(&xml(&Chunk { translation, ..SCALED }, &system("EPSG:32632")), &json!({}));
     assert_eq!(made.unwrap().0.frame.crs(), None);
-    assert!(host.warnings().iter().any(|text| text.contains("not geocentric")), "{:?}", host.warnings());
-    let (made, _) = import(&xml(&Chunk { translation, ..SCALED }, &system("EPSG:32632")), json!({"crs": 32632}));
+    assert!(
+        host.warnings().iter().any(|text| text.contains("far from the surface of the Earth")),
+        "{:?}",
+        host.warnings()
+    );
+    let (made, _) = import(&xml(&Chunk { translation, ..SCALED }, &system("EPSG:32632")), &json!({"crs": 32632}));
     assert_eq!(made.unwrap().0.frame.crs().unwrap().epsg(), Some(32632));
 }
+
+/// Names and bytes of the files of a block.
+type Files<'a> = &'a [(&'a str, &'a [u8])];
 
 #[test]
 fn a_shift_is_added_to_the_centres_of_every_format() {
     let by = [400_000.0, 5_000_000.0, 612.5];
-    let files: [(&str, &[(&str, &[u8])]); 4] = [
+    let files: [(&str, Files); 4] = [
         ("colmap", &[("cameras.txt", b"1 PINHOLE 9 7 9 9 1 1"), ("images.txt", b"1 1 0 0 0 -1 -2 -3 1 a.png\n\n")]),
         (
             "simple.json",
@@ -231,7 +238,7 @@ fn a_file_that_states_where_its_wall_lies_is_not_shifted() {
     let own = json!({"frame": {"axes": "wall", "crs": "EPSG:32632"}, "sensors": [{"name": "s", "width_px": 9, "height_px": 7, "f": 9.0, "cx": 4.0, "cy": 3.0,
         "b1": 0.0, "b2": 0.0, "k": [0.0, 0.0, 0.0, 0.0], "p": [0.0, 0.0]}],
         "images": [{"name": "a", "sensor": 0, "camera_from_object": [1.0, 0.0, 0.0, 0.0], "centre_m": [0.0, 0.0, 9.0]}]});
-    let error = import(&own.to_string(), json!({"offset_m": [1.0, 0.0, 0.0]})).0.unwrap_err();
+    let error = import(&own.to_string(), &json!({"offset_m": [1.0, 0.0, 0.0]})).0.unwrap_err();
     assert!(error.message.contains("which `offset_m` would make untrue"), "{error}");
-    assert!(import(&own.to_string(), json!({})).0.is_ok());
+    assert!(import(&own.to_string(), &json!({})).0.is_ok());
 }
