@@ -1,6 +1,7 @@
 //! `rockface inspect`: what a blob, a record, a file or a run folder holds: kind, sizes, ranges, missing values, a small
 //! picture; and one pixel followed through the steps that made it.
 
+mod colmap;
 mod facts;
 mod foreign;
 mod origin;
@@ -71,7 +72,10 @@ impl InspectArgs {
         let found = match output {
             Some(output) => output.found()?,
             None if path.is_file() => of_file(&path, &self.places)?,
-            None => self.of_digest()?,
+            None => match colmap::of_folder(Path::new(&self.what)) {
+                Some(facts) => facts.into(),
+                None => self.of_digest()?,
+            },
         };
         if self.json {
             let map: Map<String, Value> = found.facts.into_iter().collect();
@@ -266,6 +270,10 @@ fn of_file(path: &Path, places: &Places) -> Result<Found, CliError> {
         return Ok(facts.into());
     }
     facts.extend(origin::of(path, &digest, &bytes, places));
+    if let Some(found) = colmap::of_file(path) {
+        facts.extend(found);
+        return Ok(facts.into());
+    }
     let extension = path.extension().map(|extension| extension.to_string_lossy().to_lowercase()).unwrap_or_default();
     let kinds = Kind::ALL.iter().filter(|kind| kind.extension() == extension);
     let mut faults = Vec::new();

@@ -9,7 +9,7 @@ use crate::camera::camera_files::recognise::Part;
 use crate::camera::covariance_files;
 use crate::camera::covariance_sampling::{JointRoot, block_only};
 use rockface_core::artefact::{Cameras, Covariance, Frame, Kind};
-use rockface_core::crs::{self, CrsName, Tool, settle, wall_without_system};
+use rockface_core::crs::{CrsName, wall_without_system};
 use rockface_core::params::{Fault, FileRef, FilesRef, Range};
 use rockface_core::{Context, Inputs, Outputs, Page, Port, SourceFile, Stage, StageError, choice, fail, params};
 
@@ -33,8 +33,11 @@ params! {
         covariance: Option<FileRef> = None,
         /// The frame of the projection centres; null: what the file says, or world where it says nothing.
         frame: Option<FileFrame> = None,
-        /// The coordinate reference system of a file in the world frame that states none: `EPSG:28356`.
+        /// The coordinate reference system of a file in the world frame that states none: `EPSG:28356`. Cameras of a Metashape chunk that is on the Earth,
+        /// whose file has geocentric centres, are brought to it; null: to that of the chunk where it is projected.
         crs: Option<CrsName> = None,
+        /// Added to every projection centre in double precision, metres: brings a file with shifted coordinates back.
+        offset_m: [f64; 3] = [0.0; 3],
         /// Columns and rows of the images of a Bundler file, which does not say them; null for every other format.
         image_size_px: Option<[u32; 2]> = None; Range::AtLeast(1.0),
     }
@@ -53,7 +56,7 @@ pub struct ImportCameras;
 impl Stage for ImportCameras {
     type Params = ImportCamerasParams;
     const NAME: &'static str = "import-cameras";
-    const VERSION: u32 = 6;
+    const VERSION: u32 = 7;
     const PAGE: Page = Page::new(include_str!("import_cameras.md"));
     const INPUTS: &'static [Port] = &[];
     const OUTPUTS: &'static [Port] = &[
@@ -68,7 +71,7 @@ impl Stage for ImportCameras {
 
     fn run(params: &Self::Params, _inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
         let mut file = read_cameras(params, context)?;
-        to_metres(&mut file, params, context)?;
+        placing::place(&mut file, params, context)?;
         for note in &file.notes {
             context.note(note.as_str());
         }
@@ -84,37 +87,6 @@ impl Stage for ImportCameras {
         context.note(format!("{images} images, {sensors} sensors ({frame} frame), covariance of {known} parameters"));
         Ok(Outputs::of("cameras", file.cameras).and("covariance", covariance))
     }
-}
-
-/// Centres, and their covariance in the same file, in metres of the system that is stated.
-fn to_metres(file: &mut CameraFile, params: &ImportCamerasParams, context: &Context) -> Result<(), StageError> {
-    let stated = file.stated.take();
-    // What is geocentric comes with a warning of its own, unless another system is claimed for it.
-    let is_warned_of = stated.as_ref().is_some_and(|stated| stated.kind == crs::Kind::Geocentric);
-    let says_nothing = stated.is_none() && params.crs.is_none();
-    if file.cameras.frame != Frame::World || says_nothing || (is_warned_of && params.crs.is_none()) {
-        return Ok(());
-    }
-    let first = file.cameras.images.first().map(|image| image.centre_m);
-    let about = (Tool::Other, first);
-    let settled = settle(&params.path.0, [stated, None], params.crs.as_ref(), about, context)?;
-    for image in &mut file.cameras.images {
-        image.centre_m = settled.point(image.centre_m);
-    }
-    file.cameras.frame = settled.frame();
-    if let Some(covariance) = &mut file.covariance {
-        covariance.frame = file.cameras.frame;
-        let length = |name: &String| match name.rsplit('.').next() {
-            Some("X" | "Y") => settled.horizontal,
-            Some("Z") => settled.vertical,
-            _ => 1.0,
-        };
-        let metres: Vec<f64> = covariance.parameters.iter().map(length).collect();
-        for (row, of_row) in covariance.matrix.iter_mut().zip(&metres) {
-            row.iter_mut().zip(&metres).for_each(|(value, of_column)| *value *= of_row * of_column);
-        }
-    }
-    Ok(())
 }
 
 /// Refuses sensors that no image is as large as, whose rays would need as much memory.
@@ -251,7 +223,8 @@ fn covariance(params: &ImportCamerasParams, file: &CameraFile, context: &Context
         (None, None) => nothing(file.cameras.frame),
     };
     if let Some(warning) = block_only(&covariance) {
-        context.warn(warning);
+        context
+            .warn(format!("{warning}: `estimate-covariance` computes it for this block, or give it as `covariance`"));
     }
     Ok(covariance)
 }
@@ -273,5 +246,6 @@ fn read_covariance(path: &FileRef, cameras: &Cameras, context: &Context) -> Resu
     Ok(covariance)
 }
 
+mod placing;
 #[cfg(test)]
 mod tests;

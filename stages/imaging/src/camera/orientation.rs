@@ -47,12 +47,24 @@ pub fn covariance_to_frame(
         return Ok(moved);
     }
     let rotation = transform.matrix();
-    for block in position_blocks(&covariance.parameters)? {
-        rotate_rows(&mut moved.matrix, &rotation, block);
-        rotate_columns(&mut moved.matrix, &rotation, block);
-    }
-    mirror(&mut moved.matrix);
+    turn_positions(&mut moved, |_| rotation)?;
     Ok(moved)
+}
+
+/// Turns X, Y and Z of each image of a joint covariance, all of whose rows have their columns, by the rotation for its name.
+///
+/// # Errors
+///
+/// When an image has some of X, Y, Z but not all three.
+pub fn turn_positions(covariance: &mut Covariance, of: impl Fn(&str) -> Matrix3<f64>) -> Result<(), StageError> {
+    for block in position_blocks(&covariance.parameters)? {
+        let image = covariance.parameters[block[0]].rsplit_once('.').map_or("", |(image, _)| image);
+        let rotation = of(image);
+        rotate_rows(&mut covariance.matrix, &rotation, block);
+        rotate_columns(&mut covariance.matrix, &rotation, block);
+    }
+    mirror(&mut covariance.matrix);
+    Ok(())
 }
 
 /// Checks that the matrix of a covariance has a row and a column for each of its parameters.

@@ -3,6 +3,7 @@
 use nalgebra::{Matrix3, Vector3};
 use rayon::prelude::*;
 
+use crate::camera::far_cameras::far_from;
 use crate::camera::orientation::{cameras_to_frame, covariance_to_frame};
 use rockface_core::artefact::{Cameras, Covariance, Frame, Kind, Mesh, Transform};
 use rockface_core::numerics::portable_math;
@@ -86,7 +87,7 @@ fn taken(params: &TransformCrsParams, frame: Frame, earlier: &Transform) -> Resu
 impl Stage for TransformCrs {
     type Params = TransformCrsParams;
     const NAME: &'static str = "transform-crs";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const PAGE: Page = Page::new(include_str!("transform_crs.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("mesh", &[Kind::Mesh], "The face, triangles counter-clockwise seen from outside the rock."),
@@ -131,6 +132,7 @@ impl Stage for TransformCrs {
         let covariance = inputs.optional::<Covariance>("covariance")?;
         same_frame("cameras", mesh.frame, cameras.map(|c| c.frame))?;
         same_frame("covariance", mesh.frame, covariance.map(|c| c.frame))?;
+        cameras.and_then(|cameras| far_from(mesh, cameras)).map_or(Ok(()), Err)?;
         let plane = match params.plane {
             PlaneFit::Trimmed => plane_fit::fit_plane(mesh),
             PlaneFit::Robust => plane_fit::fit_plane_robust(mesh),

@@ -5,7 +5,7 @@
 //! p2 its P1, and the principal point moves by w/2 - 0.5. A camera's matrix takes its frame (x right, y down, z forward)
 //! to the chunk, the component's similarity the chunk to the world.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::{BTreeMap, HashMap, HashSet};
 
 use nalgebra::Matrix3;
 
@@ -15,6 +15,7 @@ use super::{CameraFile, assemble};
 use crate::camera::orientation::quaternion;
 use rockface_core::artefact::{Frame, Image, Sensor};
 use rockface_core::crs::{Kind, Stated};
+use rockface_core::names::twice;
 use rockface_core::{StageError, fail};
 
 pub use super::metashape_writer::write;
@@ -41,9 +42,9 @@ pub(super) fn our_name(element: &str) -> &str {
 /// Sensors other than frame cameras, aligned images whose sensor has no calibration, distortion terms that Brown-Conrady
 /// with k1 to k4, p1, p2 lacks, matrices that are no rotations: all by name.
 pub fn read(text: &str, frame: Frame) -> Result<CameraFile, StageError> {
-    let chunk = metashape_xml::read(text)?;
-    let (used, idle): (Vec<&CameraEntry>, Vec<_>) =
-        chunk.cameras.iter().partition(|c| c.enabled && c.transform.is_some());
+    let mut chunk = metashape_xml::read(text)?;
+    let renamed = name_apart(&mut chunk.cameras);
+    let (used, idle): (Vec<&CameraEntry>, Vec<_>) = chunk.cameras.iter().partition(|camera| is_used(camera));
     if used.is_empty() && !idle.is_empty() {
         let aligned = idle.iter().filter(|camera| camera.transform.is_some()).count();
         let what = if aligned == 0 { "aligned" } else { "both aligned and enabled" };
@@ -80,43 +81,96 @@ pub fn read(text: &str, frame: Frame) -> Result<CameraFile, StageError> {
     if file.covariance.is_some() {
         file.notes.push("covariance blocks as Metashape scaled them: nothing was multiplied".to_owned());
     }
-    file.warnings.extend(of_reference(&chunk, &used));
-    file.stated = chunk.reference.as_deref().map(|text| Stated::of_prj(text.as_bytes())).map(as_written);
-    Ok(file)
-}
-
-/// Centres in a system on the Earth are written as geocentric ones, whichever it is; a local system is what it says.
-fn as_written(stated: Stated) -> Stated {
-    match stated.kind {
-        Kind::Local | Kind::Unknown => Stated { node: None, ..stated },
-        _ => Stated { kind: Kind::Geocentric, node: None, ..stated },
-    }
-}
-
-fn number(sensor: &SensorEntry, position: usize) -> u64 {
-    sensor.id.parse().unwrap_or(position as u64)
-}
-
-fn of_reference(chunk: &Chunk, used: &[&CameraEntry]) -> Vec<String> {
-    let mut warnings = Vec::new();
-    if used.iter().any(|camera| placed(chunk, camera).is_none()) {
-        warnings.push(
+    file.warnings.extend(renamed);
+    file.warnings.extend(of_rolling_shutter(&used, &sensors));
+    if used.iter().any(|camera| placed(&chunk, camera).is_none()) {
+        file.warnings.push(
             "the chunk has no transform: centres are in its own units, of unknown scale; give it markers, scale bars or \
              GNSS positions"
                 .to_owned(),
         );
     }
-    match &chunk.reference {
-        Some(system) if !system.starts_with("LOCAL_CS") => {
-            let name = system.split('"').nth(1).unwrap_or(system);
-            warnings.push(format!(
-                "the chunk is referenced to `{name}`: its centres are geocentric (Earth-centred X, Y, Z in metres), not \
-                 coordinates of that system; export cameras and mesh from a local system (metres) to have them fit"
-            ));
-        }
-        _ => {}
+    let reference = chunk.reference.as_deref().map(|text| Stated::of_prj(text.as_bytes()));
+    refer(&mut file, reference);
+    Ok(file)
+}
+
+/// Distances from the centre of the Earth at which a photograph is taken, metres.
+const ON_EARTH_M: std::ops::Range<f64> = 6.34e6..6.42e6;
+
+/// What the system of the chunk says of its centres: those of a system on the Earth are written as geocentric ones, whichever it is, where the
+/// chunk is placed in it; a local system is what it says.
+fn refer(file: &mut CameraFile, reference: Option<Stated>) {
+    let Some(reference) = reference else { return };
+    let on_earth = file.cameras.images.iter().all(|image| ON_EARTH_M.contains(&image.centre().norm()));
+    match reference.kind {
+        Kind::Local => file.stated = Some(Stated { node: None, ..reference }),
+        _ if on_earth => file.geocentric = Some(reference),
+        Kind::Unknown => file.stated = Some(reference),
+        _ => file.warnings.push(format!(
+            "the chunk is referenced to `{}`: of a chunk placed in such a system its centres are geocentric (Earth-centred X, Y, Z in metres), but these are far \
+             from the surface of the Earth, and are taken for metres as they stand; `crs` says in which system, where they are in one",
+            reference.name
+        )),
     }
-    warnings
+}
+
+/// Whether a camera is read: those that are disabled or not aligned are left out.
+fn is_used(camera: &CameraEntry) -> bool {
+    camera.enabled && camera.transform.is_some()
+}
+
+/// Gives images of one label names of their own: with the label of their group where that tells them apart, else with their id; says so.
+fn name_apart(cameras: &mut [CameraEntry]) -> Option<String> {
+    let mut of_label: BTreeMap<String, Vec<usize>> = BTreeMap::new();
+    for (place, camera) in cameras.iter().enumerate().filter(|(_, camera)| is_used(camera)) {
+        of_label.entry(camera.label.clone()).or_default().push(place);
+    }
+    let mut taken: HashSet<String> = of_label.keys().cloned().collect();
+    let mut renamed = Vec::new();
+    for (label, places) in of_label.iter().filter(|(_, places)| places.len() > 1) {
+        let with_group = |place: &usize| match &cameras[*place].group {
+            Some(group) if !group.is_empty() => format!("{group}_{label}"),
+            _ => label.clone(),
+        };
+        let with_id = |place: &usize| format!("{label}#{}", cameras[*place].id.as_deref().unwrap_or_default());
+        let by_group: Vec<String> = places.iter().map(with_group).collect();
+        let is_free = |name: &String| name == label || !taken.contains(name);
+        let tells_apart =
+            twice(by_group.iter().map(String::as_str).collect()).is_none() && by_group.iter().all(is_free);
+        let names = if tells_apart { by_group } else { places.iter().map(with_id).collect() };
+        renamed.push(format!("`{label}` ({})", names.join(", ")));
+        taken.extend(names.iter().cloned());
+        for (place, name) in places.iter().zip(names) {
+            cameras[*place].label = name;
+        }
+    }
+    let [first, others @ ..] = renamed.as_slice() else { return None };
+    let others = if others.is_empty() { String::new() } else { format!(", and {} more labels likewise", others.len()) };
+    Some(format!(
+        "several images have one label, {first}{others}: they are named by their group, else by their id, to have names of their own; to choose the names, \
+         rename the photos in Metashape (Photos pane, Rename) and export the cameras again"
+    ))
+}
+
+/// Says what a rolling shutter that Metashape adjusted is here: nothing.
+fn of_rolling_shutter(used: &[&CameraEntry], sensors: &[&SensorEntry]) -> Option<String> {
+    let ids: Vec<&str> = sensors.iter().filter(|s| s.rolling_shutter).map(|s| s.id.as_str()).collect();
+    let images = used.iter().filter(|camera| camera.rolling_shutter).count();
+    let whose = match (ids.as_slice(), images) {
+        ([], 0) => return None,
+        ([], images) => format!("of {images} images"),
+        (ids, _) => format!("of sensor {}", ids.join(", ")),
+    };
+    Some(format!(
+        "the rolling shutter {whose} was adjusted in Metashape and is not modelled here: all lines of an image are taken for exposed at once, so what is projected \
+         into the first and last lines is off by half the way that the camera went during the readout (a drone at 5 m/s that reads an image in 30 ms: 0.15 m \
+         from the first line to the last, up to 0.075 m at the face)"
+    ))
+}
+
+fn number(sensor: &SensorEntry, position: usize) -> u64 {
+    sensor.id.parse().unwrap_or(position as u64)
 }
 
 fn sensor(entry: &SensorEntry, used: &[&CameraEntry]) -> Result<Sensor, StageError> {

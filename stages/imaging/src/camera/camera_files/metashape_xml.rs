@@ -34,6 +34,8 @@ pub struct SensorEntry {
     pub calibration: Option<Vec<(String, f64)>>,
     /// Names and row-major elements of the covariance of its calibration.
     pub covariance: Option<(Vec<String>, Vec<f64>)>,
+    /// Whether the movement during exposures of it was adjusted.
+    pub rolling_shutter: bool,
 }
 
 /// A camera: an image.
@@ -47,8 +49,14 @@ pub struct CameraEntry {
     pub component: Option<String>,
     /// Whether its orientation is that of another camera of its rig.
     pub follows: bool,
+    /// Its own id, as text.
+    pub id: Option<String>,
+    /// Label of the group it stands in.
+    pub group: Option<String>,
     /// Whether it takes part.
     pub enabled: bool,
+    /// Whether the movement during its exposure was adjusted.
+    pub rolling_shutter: bool,
     /// Rotation and centre of `X_chunk = R X_camera + C`.
     pub transform: Option<(Matrix3<f64>, Vector3<f64>)>,
     /// Of a turn about the camera's own axes, rad^2.
@@ -195,6 +203,7 @@ fn sensor(node: Node) -> Result<SensorEntry, StageError> {
         kind: kind.to_owned(),
         calibration: chosen.map(|chosen| calibration(node, chosen)).transpose()?,
         covariance: covariance.map(interior_covariance).transpose()?,
+        rolling_shutter: has_rolling_shutter(node),
     })
 }
 
@@ -247,11 +256,50 @@ fn camera(node: Node) -> Result<CameraEntry, StageError> {
         sensor: required(node, "sensor_id")?,
         component: node.attribute("component_id").map(str::to_owned),
         follows: node.attribute("master_id").is_some_and(|master| Some(master) != node.attribute("id")),
+        id: node.attribute("id").map(str::to_owned),
+        group: node
+            .parent()
+            .filter(|node| node.has_tag_name("group"))
+            .and_then(|node| node.attribute("label"))
+            .map(str::to_owned),
         enabled: !matches!(node.attribute("enabled"), Some("false" | "0")),
+        rolling_shutter: has_rolling_shutter(node),
         transform: child(node, "transform").map(pose).transpose()?,
         rotation_covariance: child(node, "rotation_covariance").map(matrix).transpose()?,
         location_covariance: child(node, "location_covariance").map(matrix).transpose()?,
     })
+}
+
+/// What files call the adjustment of the movement during an exposure: an element, an attribute, or the name of a property.
+const ROLLING_SHUTTER: &str = "rolling_shutter";
+
+/// Whether a rolling shutter stands anywhere in an element and is not plainly off.
+fn has_rolling_shutter(node: Node) -> bool {
+    let is_named = |name: &str| name.to_ascii_lowercase().contains(ROLLING_SHUTTER);
+    node.descendants().filter(Node::is_element).any(|node| {
+        let of_attribute = node.attributes().any(|own| is_named(own.name()) && !is_off(own.value()));
+        let is_property = node.attribute("name").is_some_and(is_named);
+        if !is_named(node.tag_name().name()) && !is_property {
+            return of_attribute;
+        }
+        let own = node.attributes().filter(|own| own.name() != "name").map(|own| own.value());
+        let below = node.descendants().filter_map(|node| node.is_text().then(|| node.text()).flatten());
+        let mut said = own.chain(below).map(str::trim).filter(|text| !text.is_empty()).peekable();
+        of_attribute || said.peek().is_none() || said.any(|text| !is_off(text))
+    })
+}
+
+/// A word for no, zeros, or the matrix that moves nothing.
+fn is_off(text: &str) -> bool {
+    let words: Vec<&str> = text.split_whitespace().collect();
+    let numbers: Option<Vec<f64>> = words.iter().map(|word| word.parse().ok()).collect();
+    match numbers {
+        Some(numbers) if numbers.len() == 16 => {
+            (0..16).all(|place| (numbers[place] - f64::from(u8::from(place % 5 == 0))).abs() < f64::EPSILON)
+        }
+        Some(numbers) => numbers.iter().all(|number| number.abs() < f64::EPSILON),
+        None => ["false", "off", "no", "none", "disabled"].contains(&text.trim().to_ascii_lowercase().as_str()),
+    }
 }
 
 fn component(node: Node) -> Option<Result<(String, Similarity), StageError>> {

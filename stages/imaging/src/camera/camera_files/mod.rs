@@ -41,6 +41,8 @@ pub struct CameraFile {
     pub warnings: Vec<String>,
     /// The coordinate reference system that the file states, units included.
     pub stated: Option<Stated>,
+    /// The system whose datum the centres are geocentric in (X, Y and Z from the centre of the Earth); `stated` is absent then.
+    pub geocentric: Option<Stated>,
     /// The covariance the file itself holds; its names are those of the block.
     pub covariance: Option<Covariance>,
 }
@@ -49,7 +51,8 @@ impl CameraFile {
     /// A block from a file that holds nothing else.
     pub fn of(cameras: Cameras) -> Self {
         let stated = cameras.frame.crs().map(Stated::of_crs);
-        Self { cameras, states_frame: false, notes: Vec::new(), warnings: Vec::new(), stated, covariance: None }
+        let (notes, warnings) = (Vec::new(), Vec::new());
+        Self { cameras, states_frame: false, notes, warnings, stated, geocentric: None, covariance: None }
     }
 }
 

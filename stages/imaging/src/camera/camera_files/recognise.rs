@@ -1,7 +1,9 @@
 //! Recognises the files that hold an image block by their names and first bytes, and reads the block.
 
+use std::collections::HashMap;
+
 use super::{CameraFile, bundler, colmap_binary, colmap_text, json, metashape};
-use rockface_core::artefact::Frame;
+use rockface_core::artefact::{Cameras, Frame, Image, Sensor};
 use rockface_core::{StageError, fail};
 
 /// What a file is to an image block.
@@ -53,7 +55,7 @@ pub fn role(name: &str, head: &[u8]) -> Option<Role> {
     }
 }
 
-/// Reads the one block that the parts hold. A text model of COLMAP is preferred to a binary one beside it.
+/// Reads the one block that the parts hold. Of two models of COLMAP the binary one is read, as COLMAP does, with a warning where the other differs.
 ///
 /// `frame` holds where the file does not name its frame; `image_size_px` is needed by Bundler, and by it alone.
 ///
@@ -70,9 +72,14 @@ pub fn read(parts: &[Part], frame: Frame, image_size_px: Option<[u32; 2]>) -> Re
     if image_size_px.is_some() && !single.iter().any(|part| part.role == Role::Bundler) {
         fail!("`image_size_px` is for Bundler files, which have no image sizes; this file has them");
     }
+    let read_text = |(cameras, images)| colmap_text::read(text(cameras)?, text(images)?, frame);
     match (&single[..], text_model, binary_model) {
-        ([], Some((cameras, images)), _) => colmap_text::read(text(cameras)?, text(images)?, frame),
-        ([], None, Some((cameras, images))) => colmap_binary::read(&cameras.bytes, &images.bytes, frame),
+        ([], Some(model), None) => read_text(model),
+        ([], other, Some((cameras, images))) => {
+            let mut file = colmap_binary::read(&cameras.bytes, &images.bytes, frame)?;
+            file.warnings.extend(other.and_then(|other| warning_of_two(&file.cameras, &read_text(other))));
+            Ok(file)
+        }
         ([one], None, None) => match one.role {
             Role::Json => json::read(&one.bytes, frame),
             Role::Metashape => metashape::read(text(one)?, frame),
@@ -87,6 +94,45 @@ pub fn read(parts: &[Part], frame: Frame, image_size_px: Option<[u32; 2]>) -> Re
         },
         _ => Err(unclear(parts)),
     }
+}
+
+/// Numbers of two models that are nearer to each other than this share of them are the same: programs write text with fewer digits.
+const SAME: f64 = 1e-6;
+
+/// What to say of a text model beside the binary one that was read; `None` where both are one block.
+fn warning_of_two(read: &Cameras, other: &Result<CameraFile, StageError>) -> Option<String> {
+    let difference = match other {
+        Err(error) => format!("the text model cannot be read ({})", error.message),
+        Ok(other) => format!("they differ: {}", difference(read, &other.cameras)?),
+    };
+    Some(format!(
+        "two COLMAP models are in the folder, as `.bin` and as `.txt`, and {difference}; the binary one is taken, as COLMAP does; `/*.txt` after the \
+         folder in `path` takes the text"
+    ))
+}
+
+/// What is different in two models of one folder, first of all their images.
+fn difference(binary: &Cameras, text: &Cameras) -> Option<String> {
+    let [ours, theirs] = [binary.images.len(), text.images.len()];
+    if ours != theirs {
+        return Some(format!("images: {ours} in the binary one, {theirs} in the text"));
+    }
+    let others: HashMap<&str, &Image> = text.images.iter().map(|image| (image.name.as_str(), image)).collect();
+    let far = |a: f64, b: f64| (a - b).abs() > SAME * a.abs().max(b.abs()).max(1.0);
+    binary.images.iter().find_map(|image| {
+        let name = &image.name;
+        let Some(other) = others.get(name.as_str()) else {
+            return Some(format!("image `{name}` is in the binary one only"));
+        };
+        let is_elsewhere = (0..3).any(|axis| far(image.centre_m[axis], other.centre_m[axis]))
+            || image.rotation().angle_to(&other.rotation()) > SAME;
+        let [own, others] = [(binary, image), (text, *other)].map(|(block, image)| block.sensor(image));
+        let numbers = |s: &Sensor| [[s.f, s.cx, s.cy, s.b1], s.k, [s.b2, s.p[0], s.p[1], 0.0]].concat();
+        let is_other = (own.width_px, own.height_px) != (others.width_px, others.height_px)
+            || numbers(own).into_iter().zip(numbers(others)).any(|(a, b)| far(a, b));
+        let what = if is_elsewhere { "another orientation" } else { "another camera" };
+        (is_elsewhere || is_other).then(|| format!("image `{name}` has {what}"))
+    })
 }
 
 fn text(part: &Part) -> Result<&str, StageError> {
@@ -143,10 +189,37 @@ mod tests {
     }
 
     #[test]
-    fn a_folder_with_both_models_is_read_once() {
-        let text = [part("cameras.txt", b"1 PINHOLE 9 7 9 9 1 1"), part("images.txt", b"1 1 0 0 0 0 0 0 1 a.png\n\n")];
-        let [cameras, images] = text;
-        let parts = [cameras, images, part("cameras.bin", b"broken"), part("images.bin", b"broken")];
-        assert_eq!(read(&parts, Frame::World, None).unwrap().cameras.images[0].name, "a.png");
+    fn of_two_models_the_binary_one_is_read_and_another_text_is_warned_of() {
+        let camera = b"1 PINHOLE 9 7 9 9 1 1";
+        let model = |images: &[u8]| [part("cameras.txt", camera), part("images.txt", images)];
+        let line = b"1 1 0 0 0 0 0 0 1 a.png\n\n";
+        let block = read(&model(line), Frame::World, None).unwrap();
+        assert!(block.warnings.is_empty());
+        let found = |[cameras, images]: [Part; 2]| {
+            let binary = colmap_binary::write(&block.cameras).unwrap();
+            let binary =
+                binary.iter().filter(|(name, _)| *name != "points3D.bin").map(|(name, bytes)| part(name, bytes));
+            let parts: Vec<Part> = [cameras, images].into_iter().chain(binary).collect();
+            let file = read(&parts, Frame::World, None).unwrap();
+            assert_eq!((file.cameras.images.len(), file.cameras.images[0].name.as_str()), (1, "a.png"));
+            file.warnings
+        };
+        assert!(found(model(line)).is_empty());
+        assert!(found(model(b"1 1 0 0 0 0 0 1e-9 1 a.png\n\n")).is_empty());
+        let says = |images: &[u8], text: &str| {
+            let warnings = found(model(images));
+            assert!(warnings.len() == 1 && warnings[0].contains(text), "{warnings:?}");
+            assert!(
+                warnings[0].contains("the binary one is taken") && warnings[0].contains("`/*.txt`"),
+                "{warnings:?}"
+            );
+        };
+        says(b"1 1 0 0 0 0 0 0.5 1 a.png\n\n", "image `a.png` has another orientation");
+        says(b"1 1 0 0 0 0 0 0 1 b.png\n\n", "image `a.png` is in the binary one only");
+        says(b"1 1 0 0 0 0 0 0 1 a.png\n\n2 1 0 0 0 0 0 0 1 b.png\n\n", "images: 1 in the binary one, 2 in the text");
+        says(b"broken", "the text model cannot be read");
+        let [_, images] = model(line);
+        let warnings = found([part("cameras.txt", b"1 PINHOLE 9 7 8 8 1 1"), images]);
+        assert!(warnings[0].contains("image `a.png` has another camera"), "{warnings:?}");
     }
 }

@@ -104,6 +104,15 @@ fn disagreement_about_the_outer_side_is_named() {
 }
 
 #[test]
+fn cameras_of_another_place_are_no_reason_to_flip_triangles() {
+    for with in [json!({}), json!({"outward": [0, -1, 0]})] {
+        let error = run(&with, wall(), Some(camera_at([12.0, 5000.0, 2.0]))).unwrap_err();
+        assert!(error.message.contains("cameras are 5.0 km from the mesh"), "{error}");
+        assert!(error.hint.unwrap().contains("`offset_m`"));
+    }
+}
+
+#[test]
 fn a_direction_along_the_face_does_not_tell_its_outer_side() {
     // Into the rock by a cosine of 0.03 and of 0.01.
     let error = run(&json!({"outward": [1, 0.03, 0]}), wall(), None).unwrap_err();

@@ -119,15 +119,81 @@ fn images_that_follow_another_of_their_rig_are_named_as_such() {
 }
 
 #[test]
-fn unknown_scale_and_geocentric_systems_are_warned_of() {
+fn unknown_scale_is_warned_of_and_geocentric_centres_are_told() {
     let without = document().replace(" component_id=\"0\"", "");
     let file = read(&without, Frame::World).unwrap();
     assert!(file.warnings.len() == 2 && file.warnings[1].contains("of unknown scale"), "{:?}", file.warnings);
     let geographic = document().replace("LOCAL_CS[\"Local\"", "GEOGCS[\"WGS 84\"");
     let file = read(&geographic, Frame::World).unwrap();
     assert!(
-        file.warnings.len() == 2 && file.warnings[1].contains("`WGS 84`: its centres are geocentric"),
+        file.warnings.len() == 2 && file.warnings[1].contains("from the surface of the Earth"),
         "{:?}",
         file.warnings
     );
+    assert_eq!((file.stated, file.geocentric), (None, None));
+    let file = read(&geographic.replace("10 20 30", "4397854 602431 4565873"), Frame::World).unwrap();
+    assert_eq!((file.warnings.len(), file.stated), (1, None));
+    assert_eq!(file.geocentric.unwrap().kind, Kind::Geographic);
+}
+
+#[test]
+fn a_rolling_shutter_is_warned_of_unless_it_is_off() {
+    let with = |within: &str, element: &str| document().replacen(within, &format!("{element}{within}"), 1);
+    let of = |text: &str| {
+        let warnings = read(text, Frame::World).unwrap().warnings;
+        warnings.into_iter().find(|warning| warning.contains("rolling shutter"))
+    };
+    assert_eq!(of(&document()), None);
+    let identity = "<rolling_shutter>1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1</rolling_shutter>";
+    for on in [
+        "<rolling_shutter>full</rolling_shutter>",
+        "<rolling_shutter/>",
+        "<property name=\"rolling_shutter\" value=\"true\"/>",
+        "<shutter rolling_shutter_model=\"regularized\"/>",
+    ] {
+        assert!(of(&with("<calibration", on)).unwrap().contains("of sensor 4"), "{on}");
+    }
+    let moved = identity.replace("0 0 0 1<", "0 0.02 0 1<");
+    assert!(of(&with("<rotation_covariance", &moved)).unwrap().contains("of 1 images"));
+    assert_eq!(of(&with("<rotation_covariance", identity)), None);
+    for off in [
+        "<rolling_shutter>0</rolling_shutter>",
+        "<rolling_shutter enabled=\"false\"/>",
+        "<property name=\"rolling_shutter\" value=\"false\"/>",
+        "<property name=\"rolling_shutter_model\" value=\"Disabled\"/>",
+    ] {
+        assert_eq!(of(&with("<calibration", off)), None, "{off}");
+    }
+}
+
+#[test]
+fn images_of_one_label_are_named_apart_and_come_back_from_a_file_of_ours() {
+    let camera = |group: &str, id: usize, label: &str| {
+        let transform = format!("<transform>1 0 0 {id} 0 1 0 0 0 0 1 0 0 0 0 1</transform>");
+        let camera =
+            format!("<camera id=\"{id}\" sensor_id=\"4\" component_id=\"0\" label=\"{label}\">{transform}</camera>");
+        if group.is_empty() { camera } else { format!("<group id=\"{id}\" label=\"{group}\">{camera}</group>") }
+    };
+    let names = |cameras: &[String]| {
+        let (head, rest) = document().split_once("<cameras>").map(|(a, b)| (a.to_owned(), b.to_owned())).unwrap();
+        let tail = rest.split_once("</cameras>").unwrap().1;
+        let file = read(&format!("{head}<cameras>{}</cameras>{tail}", cameras.concat()), Frame::World).unwrap();
+        let again = read(std::str::from_utf8(&write(&file.cameras, None).unwrap()).unwrap(), Frame::World).unwrap();
+        assert!(again.warnings.is_empty());
+        let names = |file: &CameraFile| file.cameras.images.iter().map(|image| image.name.clone()).collect::<Vec<_>>();
+        assert_eq!(names(&again), names(&file));
+        (names(&file), file.warnings)
+    };
+    let (found, warnings) = names(&[camera("one", 0, "DJI_1"), camera("two", 1, "DJI_1"), camera("two", 2, "DJI_2")]);
+    assert_eq!(found, ["one_DJI_1", "two_DJI_1", "DJI_2"]);
+    assert!(warnings.len() == 1 && warnings[0].contains("`DJI_1` (one_DJI_1, two_DJI_1)"), "{warnings:?}");
+    let (found, _) = names(&[camera("", 0, "DJI_1"), camera("two", 1, "DJI_1")]);
+    assert_eq!(found, ["DJI_1", "two_DJI_1"]);
+    let (found, warnings) = names(&[camera("two", 7, "DJI_1"), camera("two", 17, "DJI_1"), camera("", 3, "b")]);
+    assert_eq!(found, ["DJI_1#7", "DJI_1#17", "b"]);
+    assert!(warnings[0].contains("rename the photos in Metashape"), "{warnings:?}");
+    // The name with the group is that of another image already.
+    let (found, _) = names(&[camera("two", 0, "a"), camera("", 1, "a"), camera("", 2, "two_a")]);
+    assert_eq!(found, ["a#0", "a#1", "two_a"]);
+    assert_eq!(names(&[camera("x", 0, "a"), camera("y", 1, "b")]), (vec!["a".to_owned(), "b".to_owned()], Vec::new()));
 }
