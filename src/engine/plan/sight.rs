@@ -72,9 +72,18 @@ impl<'a> Sight<'a> {
         let mut files: Vec<PathBuf> = named.into_iter().filter(|file| self.is_file(file)).collect();
         files.sort();
         if files.is_empty() {
+            let shown = path.display();
             let other = others.iter().filter(|_| pattern.is_some()).min().and_then(|other| other.file_name());
-            let there = other.map(|other| format!("; `{}` is there", other.display()));
-            return Err(format!("`{}` names no file{}", path.display(), there.unwrap_or_default()));
+            return Err(match other {
+                Some(other) => format!("`{shown}` names no file; `{}` is there", other.display()),
+                None if pattern.is_some() => format!("`{shown}` names no file"),
+                None => match below(path, DEPTH) {
+                    Some(below) => {
+                        format!("`{shown}` is a folder without files of its own; `{}` has some", below.display())
+                    }
+                    None => format!("`{shown}` is a folder without files"),
+                },
+            });
         }
         Ok(files)
     }
@@ -93,6 +102,21 @@ impl<'a> Sight<'a> {
         }
         is_file
     }
+}
+
+/// How far below a folder without files others are looked for: that of a project of COLMAP has its model in `sparse/0`.
+const DEPTH: usize = 3;
+
+/// The first folder below one that has files of its own.
+fn below(folder: &Path, depth: usize) -> Option<PathBuf> {
+    let shown = |entry: &std::fs::DirEntry| !entry.file_name().to_string_lossy().starts_with('.');
+    let entries = std::fs::read_dir(folder).ok()?.flatten().filter(shown);
+    let mut entries: Vec<PathBuf> = entries.map(|entry| entry.path()).collect();
+    entries.sort();
+    entries.iter().any(|entry| entry.is_file()).then(|| folder.to_owned()).or_else(|| {
+        let depth = depth.checked_sub(1)?;
+        entries.iter().filter(|entry| entry.is_dir()).find_map(|entry| below(entry, depth))
+    })
 }
 
 /// The file at a path.
@@ -123,6 +147,22 @@ pub fn kind_of(entry: FileType) -> &'static str {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_folder_without_files_is_told_with_the_one_below_that_has_some() {
+        let place = tempfile::tempdir().unwrap();
+        let project = place.path().join("project");
+        std::fs::create_dir_all(project.join("sparse/0")).unwrap();
+        std::fs::write(project.join(".hidden"), "").unwrap();
+        let sight = Sight::new(&|_| Ok(Digest::of(b"")));
+        let told = sight.list(&project).unwrap_err();
+        assert!(told.ends_with("project` is a folder without files"), "{told}");
+        std::fs::write(project.join("sparse/0/cameras.bin"), "").unwrap();
+        let told = sight.list(&project).unwrap_err();
+        assert!(told.ends_with("project/sparse/0` has some"), "{told}");
+        let told = sight.list(&project.join("*.bin")).unwrap_err();
+        assert!(told.ends_with("*.bin` names no file; `.hidden` is there"), "{told}");
+    }
 
     #[test]
     fn what_is_no_file_is_called_what_it_is() {
