@@ -4,6 +4,7 @@
 //! [`Stated`] system, which [`settle`] makes one of, converting feet and refusing degrees.
 
 mod datums;
+mod degrees;
 pub mod geo_keys;
 mod heights;
 mod metric;
@@ -14,6 +15,7 @@ mod stated;
 mod unit;
 pub mod wkt;
 
+pub use degrees::Degrees;
 pub use scale::Scale;
 pub use settle::{CrsName, Settled, Tool, settle, wall_without_system};
 pub use stated::{Kind, Stated};
