@@ -1,4 +1,5 @@
-//! Coordinate reference systems: read from what files state, carried with every artefact, written again. Nothing is reprojected.
+//! Coordinate reference systems: read from what files state, carried with every artefact, written again. Nothing is reprojected,
+//! but for the degrees of an export ([`Degrees`]).
 //!
 //! Coordinates inside are metres. A [`Crs`] is therefore projected, with metres along its axes; what files state otherwise is a
 //! [`Stated`] system, which [`settle`] makes one of, converting feet and refusing degrees.

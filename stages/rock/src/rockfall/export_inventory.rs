@@ -208,9 +208,10 @@ fn properties<'a>(inventory: &'a Inventory, feature: &'a Feature) -> impl Iterat
 
 fn geojson(inventory: &Inventory, shown: &[Shown]) -> String {
     let line = |(name, feature, shape): &Shown| {
+        // In the order of the columns, which a map of JSON would not keep.
         let values = inventory.columns.iter().zip(&feature.values);
-        let values: serde_json::Map<String, Value> =
-            values.map(|(column, cell)| (column.clone(), inventory_file::value(cell))).collect();
+        let values = values.map(|(column, cell)| format!("{}:{}", json!(column), inventory_file::value(cell)));
+        let properties = values.collect::<Vec<_>>().join(",");
         let geometry = if shape.outline.is_empty() {
             let [longitude, latitude, _] = shape.point;
             json!({"type": "Point", "coordinates": rounded([longitude, latitude])})
@@ -223,7 +224,10 @@ fn geojson(inventory: &Inventory, shown: &[Shown]) -> String {
             });
             json!({"type": "MultiPolygon", "coordinates": rings.collect::<Vec<_>>()})
         };
-        json!({"type": "Feature", "id": name, "properties": values, "geometry": geometry}).to_string()
+        format!(
+            "{{\"type\":\"Feature\",\"id\":{},\"properties\":{{{properties}}},\"geometry\":{geometry}}}",
+            json!(name)
+        )
     };
     let features: Vec<String> = shown.iter().map(line).collect();
     format!("{{\"type\":\"FeatureCollection\",\"features\":[\n{}\n]}}\n", features.join(",\n"))
