@@ -117,8 +117,6 @@ fn lists_that_cannot_be_an_axis_are_told() {
     let column = bench.run(&SEARCH.replace("${fine.value}", "${fine.worth}"), &[]);
     assert!(column.summary.failed);
     let said = |yaml: &str| bench.plan(yaml, &[]).err().unwrap().to_string();
-    let many = said(&SEARCH.replace("from: refined.out", "from: tried.out"));
-    assert!(many.contains("takes its items from one list"), "{many}");
     let circle = said(&SEARCH.replace("rows: 3", "rows: '${fine.value}'"));
     assert!(circle.contains("in a circle"), "{circle}");
     let transient = said(&SEARCH.replace("refined: {stage: list,", "refined: {stage: list, keep: false,"));
@@ -197,4 +195,84 @@ fn a_list_that_only_an_axis_reads_is_no_target() {
     let plan = bench.plan(&SEARCH.replace("targets: [best]\n", ""), &[]).unwrap_or_else(|faults| panic!("{faults}"));
     let targets: Vec<&str> = plan.graph.targets.iter().map(|step| plan.graph.steps[*step].name.as_str()).collect();
     assert_eq!(targets, ["again", "best"]);
+}
+
+/// A list for each of two distances, which are equal but for their values.
+const LISTS: &str = "
+rockface: 1
+axes:
+  distance: {values: [10, 20]}
+  image: {from: plan.out}
+steps:
+  flown: {stage: emit, with: {value: '${distance}'}}
+  plan: {stage: list, in: {terms: flown.out}, with: {rows: 3}}
+  seen: {stage: add, over: [image], in: {terms: plan.out}}
+  noisy: {stage: draw, over: [image], in: {in: flown.out}, with: {sigma: 0}}
+  once: {stage: emit, over: [image], with: {value: 5}}
+  all: {stage: add, in: {terms: {each: seen.out, over: [image]}}}
+  sum: {stage: add, in: {terms: {each: all.out, over: [distance]}}}
+  rest: {stage: add, in: {terms: {each: once.out, over: [image]}}}
+targets: [sum, rest]
+";
+
+#[test]
+fn equal_lists_of_several_instances_are_one_axis() {
+    for jobs in [1, 3] {
+        let bench = Bench::new();
+        let plan = bench.plan(LISTS, &[]).unwrap_or_else(|faults| panic!("{faults}"));
+        // Both lists are made, whoever reads them, and what does not depend on the items.
+        assert_eq!(plan.instances.len(), 4);
+        let ran = bench.run_with(LISTS, &[], &Options { jobs, ..Options::default() });
+        assert!(!ran.summary.failed, "{:?}", ran.events);
+        // Each reads the list of its own distance: 3 (10 + 11 + 12) and 3 (20 + 21 + 22).
+        assert_eq!(ran.number(&bench.store, "sum"), 288.0);
+        assert_eq!(ran.number(&bench.store, "rest"), 15.0);
+        let again = bench.run(LISTS, &[]);
+        assert!(again.executed().is_empty() && again.digests() == ran.digests());
+        // One list more on record than before: the other distances are as they were.
+        let more = bench.run(LISTS, &["axes.distance.values=[10,20,30]"]);
+        let new = more.executed();
+        assert!(
+            !new.contains(&"once[image=0]".into()) && !new.contains(&"seen[distance=10,image=0]".into()),
+            "{new:?}"
+        );
+        assert_eq!(more.number(&bench.store, "sum"), 288.0 + 279.0);
+    }
+}
+
+#[test]
+fn lists_that_differ_are_told_with_their_places() {
+    let told = |yaml: &str| {
+        let bench = Bench::new();
+        let ran = bench.run(yaml, &[]);
+        let told = ran.events.iter().find_map(|event| match event {
+            Event::Failed { message, hint, .. } => Some(format!("{message} {}", hint.clone().unwrap_or_default())),
+            _ => None,
+        });
+        assert!(ran.summary.failed);
+        // With both lists on record it is a fault of the plan.
+        let planned = bench.plan(yaml, &[]).err().unwrap().to_string();
+        assert!(planned.contains("takes its items from `plan.out`, and the lists differ"), "{planned}");
+        told.expect("a failure")
+    };
+    let longer = told(&LISTS.replace("rows: 3", "rows: '${distance}'"));
+    assert!(longer.contains("at [distance=10] has 10 items, at [distance=20] has 20 items"), "{longer}");
+    assert!(longer.contains("or pick one: `plan.out[distance=10]`"), "{longer}");
+    // Values that parameters take have to be equal too.
+    let values = told(&LISTS.replace("{value: 5}", "{value: '${image.value}'}"));
+    assert!(values.contains("`0` is {\"value\":10}") && values.contains("`0` is {\"value\":20}"), "{values}");
+    let picked = LISTS
+        .replace("from: plan.out", "from: 'plan.out[distance=20]'")
+        .replace("{value: 5}", "{value: '${image.value}'}");
+    let bench = Bench::new();
+    assert_eq!(bench.run(&picked, &[]).number(&bench.store, "rest"), 63.0);
+}
+
+#[test]
+fn lists_that_no_target_needs_are_not_compared() {
+    let bench = Bench::new();
+    let yaml = LISTS.replace("rows: 3", "rows: '${distance}'").replace("[sum, rest]", "[plan]");
+    for _ in 0..2 {
+        assert!(!bench.run(&yaml, &[]).summary.failed);
+    }
 }

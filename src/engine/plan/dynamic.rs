@@ -7,10 +7,10 @@ use rockface_cache::{Outcome, Store};
 use rockface_core::artefact::{Artefact, Cell, Kind, Pair, Table};
 use serde_json::{Map, Value};
 
-use super::graph::{ListPoint, Partners};
+use super::graph::{Dynamic, ListPoint, Partners};
 use super::instances::Plan;
 use super::parameters::NAME_COLUMN;
-use super::points::{Wait, count};
+use super::points::{Wait, count, list_points, named};
 use super::sight::HashFile;
 use crate::diagnostic::Diagnostic;
 use crate::pipeline::bad_item;
@@ -22,6 +22,22 @@ pub struct Items {
     pub names: Vec<String>,
     /// A text each, or a map of the columns of a row.
     pub values: Vec<Value>,
+}
+
+impl Items {
+    /// What is at the first place where another list differs, in this list and in that; with the values of the items, where `values` asks
+    /// for them.
+    fn difference(&self, other: &Self, values: bool) -> Option<[String; 2]> {
+        if self.names.len() != other.names.len() {
+            return Some([self, other].map(|list| format!("has {} items", list.names.len())));
+        }
+        let pairs = || self.names.iter().zip(&other.names).enumerate();
+        if let Some((number, (own, name))) = pairs().find(|(_, (own, name))| own != name) {
+            return Some([own, name].map(|name| format!("number {} is `{name}`", number + 1)));
+        }
+        let at = (0..self.names.len()).find(|at| values && self.values[*at] != other.values[*at])?;
+        Some([self, other].map(|list| format!("`{}` is {}", list.names[at], list.values[at])))
+    }
 }
 
 /// What a recorded list of pairs puts together.
@@ -140,16 +156,17 @@ impl Plan {
         awaits
     }
 
-    /// The axes that wait for an instance, with the port their items come from.
+    /// The axes of wanted steps that wait for an instance, with the port their items come from.
     pub fn waiting_axes(&self, instance: usize) -> Vec<(usize, &'static str)> {
         let own = &self.instances[instance];
         let axes = &self.graph.steps[own.step].axes;
         let waits = |axis: usize| {
             let dynamic = self.graph.dynamic[axis].as_ref().filter(|dynamic| !dynamic.known)?;
             let source = &dynamic.source;
-            let item = |axis: &usize| source.picks.iter().find(|(a, _)| a == axis).map_or(0, |(_, item)| *item);
-            let here = source.step == own.step && axes.iter().map(item).eq(own.items.iter().copied());
-            here.then_some((axis, source.port.name))
+            let fits =
+                |(axis, item): (&usize, &usize)| source.picks.iter().all(|(a, picked)| a != axis || picked == item);
+            let here = source.step == own.step && axes.iter().zip(&own.items).all(fits);
+            (here && self.graph.is_met(axis)).then_some((axis, source.port.name))
         };
         (0..self.graph.axes.len()).filter_map(waits).collect()
     }
@@ -164,12 +181,55 @@ impl Plan {
         made.filter(|list| self.lists.contains(list) && !self.graph.partners.contains_key(list)).collect()
     }
 
-    /// Tells the plan the items of an axis; [`Plan::grow`] then adds what follows from them. Reports what was named
-    /// beforehand and is none of them.
-    pub fn set_items(&mut self, axis: usize, items: Items) -> Result<(), Vec<Diagnostic>> {
+    /// Tells the plan the items of an axis that an instance makes; [`Plan::grow`] then adds what follows from them. Where other
+    /// instances of its step make lists for the axis too, the items are taken when all lists are there. Returns whether they were taken.
+    ///
+    /// # Errors
+    /// Lists that differ, and what was named beforehand and is no item.
+    pub fn set_items(&mut self, axis: usize, instance: usize, items: Items) -> Result<bool, Vec<Diagnostic>> {
+        let Some(dynamic) = &self.graph.dynamic[axis] else { return Ok(false) };
+        let points = list_points(&self.graph, &dynamic.source);
+        if points.len() > 1 {
+            let own = self.instances[instance].items.clone();
+            let lists = self.graph.dynamic[axis].as_mut().map(|dynamic| &mut dynamic.lists);
+            let count = lists.map_or(0, |lists| {
+                lists.insert(own, items.clone());
+                lists.len()
+            });
+            if count < points.len() {
+                return Ok(false);
+            }
+            self.check_equal(axis)?;
+        }
         self.replace_items(axis, items, true);
         let faults = self.graph.settle(axis);
-        if faults.is_empty() { Ok(()) } else { Err(faults) }
+        if faults.is_empty() { Ok(true) } else { Err(faults) }
+    }
+
+    /// Whether all lists for an axis have the same items in the same order, and the same values where parameters take these.
+    fn check_equal(&self, axis: usize) -> Result<(), Vec<Diagnostic>> {
+        let graph = &self.graph;
+        let Some(Dynamic { source, lists, .. }) = &graph.dynamic[axis] else { return Ok(()) };
+        let mut lists = lists.iter();
+        let Some((first, wanted)) = lists.next() else { return Ok(()) };
+        let wanted_steps = graph.wanted();
+        let is_mentioned =
+            graph.steps.iter().zip(wanted_steps).any(|(step, wanted)| wanted && step.with_axes.contains(&axis));
+        let differing = lists.find_map(|(point, items)| Some((point, wanted.difference(items, is_mentioned)?)));
+        let Some((point, [here, there])) = differing else { return Ok(()) };
+        let own = &graph.axes[axis];
+        let step = &graph.steps[source.step];
+        let label = |items: &[usize]| {
+            let items = named(graph, &step.axes, items);
+            items.iter().map(|(axis, item)| format!("{axis}={item}")).collect::<Vec<_>>().join(",")
+        };
+        let (list, first, point) = (format!("{}.{}", step.name, source.port.name), label(first), label(point));
+        let message = format!(
+            "axis `{}` takes its items from `{list}`, and the lists differ: at [{first}] {here}, at [{point}] {there}",
+            own.name.text
+        );
+        let hint = format!("make lists with the same items in the same order, or pick one: `{list}[{first}]`");
+        Err(vec![Diagnostic::at(own.from.as_ref().map_or(own.name.span, |from| from.span), message).hint(hint)])
     }
 
     fn replace_items(&mut self, axis: usize, items: Items, known: bool) {
@@ -178,6 +238,7 @@ impl Plan {
         self.graph.numbers[axis] = OnceLock::new();
         if let Some(dynamic) = &mut self.graph.dynamic[axis] {
             dynamic.known = known;
+            dynamic.lists.clear();
         }
     }
 
@@ -199,8 +260,7 @@ impl Plan {
                 for (axis, port) in self.waiting_axes(instance) {
                     // What cannot be read now is reported when the run reaches it.
                     if let Ok(items) = items_of(&outcome, port, store) {
-                        self.set_items(axis, items)?;
-                        grown = true;
+                        grown |= self.set_items(axis, instance, items)?;
                     }
                 }
                 for list in self.waiting_lists(instance) {

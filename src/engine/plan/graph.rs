@@ -9,6 +9,7 @@ use rockface_core::artefact::Kind;
 use rockface_core::{AnyStage, Port, Ports};
 use serde_json::Value;
 
+use super::dynamic::Items;
 use super::former::FormerInputs;
 use crate::diagnostic::Span;
 use crate::pipeline::{Axis, Base, INSIDE, LogLevel, Node, Used, Word};
@@ -82,6 +83,8 @@ pub struct Dynamic {
     pub source: Source,
     /// Whether the items are known.
     pub known: bool,
+    /// The lists that are known where the step that makes them has several instances: by the item of each of its axes.
+    pub lists: BTreeMap<Vec<usize>, Items>,
 }
 
 /// A step whose stage, inputs and axes have been found.
@@ -275,6 +278,12 @@ impl Graph {
             open.extend(tellers.map(|dynamic| dynamic.source.step));
         }
         wanted
+    }
+
+    /// Whether a step that targets need is expanded or gathers over an axis.
+    pub fn is_met(&self, axis: usize) -> bool {
+        let wanted = self.wanted();
+        (0..self.steps.len()).any(|step| wanted[step] && self.axes_met(step).contains(&axis))
     }
 
     /// Whether a list of pairs tells what some of the inputs read.

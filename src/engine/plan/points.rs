@@ -232,10 +232,23 @@ fn starts(graph: &Graph) -> Vec<StepPoint> {
         starts.extend(points(graph, &graph.steps[*target].axes).into_iter().map(|items| (*target, items)));
     }
     for source in tellers(graph, &graph.wanted()) {
-        let item = |axis: &usize| source.picks.iter().find(|(a, _)| a == axis).map_or(0, |(_, item)| *item);
-        starts.push((source.step, graph.steps[source.step].axes.iter().map(item).collect()));
+        starts.extend(list_points(graph, source).into_iter().map(|items| (source.step, items)));
     }
     starts
+}
+
+/// The points at which the output is made that tells the items of an axis, in order: several where items are not picked. An axis whose
+/// own items are not known yet has the item 0.
+pub fn list_points(graph: &Graph, source: &Source) -> Vec<Vec<usize>> {
+    let axes = &graph.steps[source.step].axes;
+    let free: Vec<usize> =
+        axes.iter().copied().filter(|axis| !source.picks_of(*axis) && !graph.is_pending(*axis)).collect();
+    let full = |items: Vec<usize>| {
+        let picked = |axis: &usize| source.picks.iter().find(|(picked, _)| picked == axis).map(|(_, item)| *item);
+        let walked = |axis: &usize| free.iter().position(|own| own == axis).map(|place| items[place]);
+        axes.iter().map(|axis| picked(axis).or_else(|| walked(axis)).unwrap_or_default()).collect()
+    };
+    points(graph, &free).into_iter().map(full).collect()
 }
 
 /// The points that are reached against the arrows, of those that may be.

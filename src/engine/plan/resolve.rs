@@ -333,16 +333,7 @@ impl<'d> Resolver<'d> {
     fn teller(&mut self, axis: &Word, from: &Reference) -> Option<Dynamic> {
         let source = self.source(from)?;
         let kind = source.port.kinds[0];
-        let free = self.position_axes(source.step).iter().find(|axis| !source.picks_of(**axis));
         let step = &self.document().steps[self.names.steps[from.step.as_str()]];
-        if let Some(free) = free.filter(|_| kind.has_items()) {
-            let free = &self.document().axes[*free].name.text;
-            let message =
-                format!("axis `{}` takes its items from one list, `{}` has one for each {free}", axis.text, from.step);
-            let hint = format!("pick one: `{}.{}[{free}=…]`", from.step, from.port);
-            self.unless_unsure(&from.step, Diagnostic::at(from.span, message).hint(hint));
-            return None;
-        }
         let fault = if !kind.has_items() {
             let message = format!("axis `{}` cannot take items from a {kind}", axis.text);
             let lists: Vec<&str> = Kind::ALL.iter().filter(|kind| kind.has_items()).map(|kind| kind.word()).collect();
@@ -359,7 +350,7 @@ impl<'d> Resolver<'d> {
                 self.faults.push(Diagnostic::at(from.span, message).hint(hint));
                 None
             }
-            None => Some(Dynamic { source, known: false }),
+            None => Some(Dynamic { source, known: false, lists: BTreeMap::new() }),
         }
     }
 

@@ -1,56 +1,132 @@
 //! `triangulate-surface`: turns an organised surface into a triangle mesh that other programs open.
 
 use crate::{frame_change, raster_surface};
-use rockface_core::artefact::{Artefact, Kind, Mesh, Raster, Surface, Transform};
-use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
+use rockface_core::artefact::{Artefact, Frame, Kind, Mesh, Meshes, Raster, Surface, Transform};
+use rockface_core::params::Fault;
+use rockface_core::{Context, Inputs, Outputs, Page, Port, Ports, Stage, StageError, choice, fail, params};
+use serde_json::Value;
+
+choice! {
+    /// What becomes of a set of bodies.
+    pub enum Bodies {
+        /// One mesh of all of them, at the port `mesh`.
+        Joined = "joined",
+        /// A set of the same bodies with their names, at the port `meshes`.
+        Named = "named",
+    }
+}
 
 params! {
     /// Parameters of `triangulate-surface`.
     pub struct TriangulateSurfaceParams {
         /// Every so many rows and columns of points or cells are taken; 1 takes them all.
         step: u32 = 1; rockface_core::params::Range::AtLeast(1.0),
+        /// Whether a set of bodies, such as the pieces of `remove-blocks`, becomes one mesh or stays a set with their names.
+        bodies: Bodies = Bodies::Joined,
     }
 }
 
-/// Writes the points and triangles of an organised surface, or of a raster of elevations, as a mesh (PLY), for other programs and
-/// for stages that take meshes.
+const TRANSFORM: Port =
+    Port::optional("transform", &[Kind::Transform], "Applied to every point, such as the way back to the world.");
+const OF_BODIES: &[Port] =
+    &[Port::one("surface", &[Kind::Meshes], "A set of bodies; with `bodies: named`."), TRANSFORM];
+const NAMED: &[Port] = &[Port::one("meshes", &[Kind::Meshes], "The same bodies; with `bodies: named`.")];
+
+/// Writes the points and triangles of an organised surface, of a raster of elevations, or of a set of bodies as a mesh (PLY), for
+/// other programs and for stages that take meshes.
 pub struct TriangulateSurface;
 
 impl Stage for TriangulateSurface {
     type Params = TriangulateSurfaceParams;
     const NAME: &'static str = "triangulate-surface";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: Page = Page::new(include_str!("triangulate_surface.md"));
     const INPUTS: &'static [Port] = &[
         Port::one(
             "surface",
-            &[Kind::Surface, Kind::Mesh, Kind::Raster],
-            "From `fuse-depth` or `clean-mesh`; a raster of elevations; or a mesh.",
+            &[Kind::Surface, Kind::Mesh, Kind::Raster, Kind::Meshes],
+            "From `fuse-depth` or `clean-mesh`; a raster of elevations; a mesh; or a set of bodies.",
         ),
-        Port::optional("transform", &[Kind::Transform], "Applied to every point, such as the way back to the world."),
+        TRANSFORM,
     ];
     const OUTPUTS: &'static [Port] = &[Port::one("mesh", &[Kind::Mesh], "The same points and triangles.")];
 
+    fn ports(with: &Value) -> Result<Ports, Vec<Fault>> {
+        let named = with.get("bodies").and_then(Value::as_str) == Some("named");
+        let (inputs, outputs) = if named { (OF_BODIES, NAMED) } else { (Self::INPUTS, Self::OUTPUTS) };
+        Ok(Ports { inputs, outputs })
+    }
+
+    fn check(params: &Self::Params) -> Vec<Fault> {
+        let thins = params.bodies == Bodies::Named && params.step > 1;
+        let fault = || Fault::new("it thins the rows and columns of a surface; bodies have none").below("step");
+        thins.then(fault).into_iter().collect()
+    }
+
     fn run(params: &Self::Params, inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
+        if params.bodies == Bodies::Named {
+            return named(inputs, context);
+        }
         let step = params.step as usize;
         let mut mesh = match inputs.artefact("surface")? {
-            Artefact::Mesh(_) if step > 1 => fail!("`step` thins the rows and columns of a surface; a mesh has none"),
+            Artefact::Mesh(_) | Artefact::Meshes(_) if step > 1 => {
+                fail!("`step` thins the rows and columns of a surface; a mesh has none")
+            }
             Artefact::Mesh(mesh) => mesh.clone(),
+            Artefact::Meshes(meshes) => joined(meshes)?,
             Artefact::Raster(raster) => triangulate(&of_raster(raster)?, step),
             _ => triangulate(inputs.one("surface")?, step),
         };
         if mesh.triangles.is_empty() {
             fail!("the surface has no triangle, or none is left at a step of {step}");
         }
-        let change = frame_change::change(mesh.frame, inputs.optional::<Transform>("transform")?)?;
-        if let Some(moved) = change.moved {
-            mesh.vertices.iter_mut().for_each(|vertex| *vertex = moved.apply(*vertex));
-        }
-        mesh.frame = change.frame;
+        mesh.frame = move_points(mesh.frame, [&mut mesh.vertices], inputs)?;
         let (vertices, triangles) = (mesh.vertices.len(), mesh.triangles.len());
         context.headline(format!("{vertices} vertices, {triangles} triangles"));
         Ok(Outputs::of("mesh", mesh))
     }
+}
+
+/// Bodies that keep their names: one without triangles too, and a set of none, as where no rock fell.
+fn named(inputs: &Inputs, context: &Context) -> Result<Outputs, StageError> {
+    let mut meshes = inputs.one::<Meshes>("surface")?.clone();
+    let vertices = meshes.parts.iter_mut().map(|part| &mut part.vertices);
+    meshes.frame = move_points(meshes.frame, vertices, inputs)?;
+    let triangles: usize = meshes.parts.iter().map(|part| part.triangles.len()).sum();
+    context.headline(format!("{} bodies, {triangles} triangles", meshes.parts.len()));
+    Ok(Outputs::of("meshes", meshes))
+}
+
+/// Moves points by the transform where one is given; the frame they are in afterwards.
+fn move_points<'a>(
+    frame: Frame,
+    lists: impl IntoIterator<Item = &'a mut Vec<[f64; 3]>>,
+    inputs: &Inputs,
+) -> Result<Frame, StageError> {
+    let change = frame_change::change(frame, inputs.optional::<Transform>("transform")?)?;
+    if let Some(moved) = change.moved {
+        lists.into_iter().flatten().for_each(|point| *point = moved.apply(*point));
+    }
+    Ok(change.frame)
+}
+
+/// All bodies as one mesh, in their order.
+fn joined(meshes: &Meshes) -> Result<Mesh, StageError> {
+    if meshes.parts.is_empty() {
+        let hint = "`bodies: named` takes a set without bodies too, as where no rock fell";
+        return Err(StageError::new("`surface` is a set of bodies without a body").hint(hint));
+    }
+    let vertices: Vec<[f64; 3]> = meshes.parts.iter().flat_map(|part| part.vertices.iter().copied()).collect();
+    if u32::try_from(vertices.len()).is_err() {
+        fail!("the bodies have {} vertices, too many for one mesh", vertices.len());
+    }
+    let mut triangles = Vec::new();
+    let mut first = 0;
+    for part in &meshes.parts {
+        triangles.extend(part.triangles.iter().map(|triangle| triangle.map(|corner| first + corner)));
+        first += part.vertices.len() as u32;
+    }
+    Ok(Mesh { frame: meshes.frame, vertices, triangles, colours: Vec::new() })
 }
 
 fn triangulate(surface: &Surface, step: usize) -> Mesh {
@@ -102,7 +178,7 @@ mod tests {
     use serde_json::json;
 
     use super::*;
-    use rockface_core::artefact::{Frame, Grid};
+    use rockface_core::artefact::{Frame, Grid, Part};
     use rockface_core::testing::{TestHost, run_stage};
 
     /// 3 x 3 points, rows down, with a hole in the last corner.
@@ -160,6 +236,52 @@ mod tests {
         assert!(
             made(&json!({"step": 2}), &[("surface", surface().into())]).unwrap_err().message.contains("no triangle")
         );
+    }
+
+    /// Two tetrahedra in the wall frame.
+    fn bodies() -> Meshes {
+        let part = |name: &str, x: f64| Part {
+            name: name.into(),
+            class: "wedge".into(),
+            vertices: vec![[x, 0.0, 0.0], [x + 1.0, 0.0, 0.0], [x, 1.0, 0.0], [x, 0.0, 1.0]],
+            triangles: vec![[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]],
+        };
+        Meshes { frame: Frame::Wall, parts: vec![part("1", 0.0), part("2", 5.0)] }
+    }
+
+    fn wall_from_world() -> Transform {
+        Transform { origin: [1e6, 5e6, 0.0], ..Transform::identity("world", "wall") }
+    }
+
+    #[test]
+    fn bodies_become_one_mesh_in_the_world() {
+        let inputs = [("surface", bodies().into()), ("transform", wall_from_world().into())];
+        let mesh = made(&json!({}), &inputs).unwrap();
+        assert_eq!((mesh.vertices.len(), mesh.triangles.len(), mesh.frame), (8, 8, Frame::World));
+        assert_eq!(mesh.triangles[7], [5, 6, 7]);
+        assert!((mesh.vertices[5][0] - 1_000_006.0).abs() < 1e-9 && (mesh.vertices[5][1] - 5e6).abs() < 1e-9);
+        let none = Meshes { parts: Vec::new(), ..bodies() };
+        assert!(made(&json!({}), &[("surface", none.into())]).unwrap_err().message.contains("without a body"));
+        let thinned = made(&json!({"step": 2}), &[("surface", bodies().into())]);
+        assert!(thinned.unwrap_err().message.contains("a mesh has none"));
+    }
+
+    #[test]
+    fn bodies_may_keep_their_names() {
+        let run = |meshes: Meshes| {
+            let inputs = [("surface", meshes.into()), ("transform", wall_from_world().into())];
+            run_stage::<TriangulateSurface>(&TestHost::default(), &json!({"bodies": "named"}), &inputs)
+        };
+        let Some(Artefact::Meshes(moved)) = run(bodies()).unwrap().into_inner().remove("meshes") else {
+            panic!("no meshes")
+        };
+        assert_eq!(moved.frame, Frame::World);
+        let told = |part: &Part| (part.name.clone(), part.class.clone(), part.triangles.clone());
+        assert!(moved.parts.iter().map(told).eq(bodies().parts.iter().map(told)));
+        assert!((moved.parts[1].vertices[1][0] - 1_000_006.0).abs() < 1e-9);
+        assert!(run(Meshes { parts: Vec::new(), ..bodies() }).is_ok());
+        let ports = TriangulateSurface::ports(&json!({"bodies": "named"})).unwrap();
+        assert_eq!((ports.inputs[0].kinds, ports.outputs[0].name), (&[Kind::Meshes][..], "meshes"));
     }
 
     #[test]

@@ -20,7 +20,8 @@ impl Scheduler<'_> {
                 Ok(items) => items,
                 Err(why) => return self.report_unexpanded(instance, &use_of_it, &why, None),
             };
-            if let Err(faults) = self.plan.set_items(axis, items).and_then(|()| self.grow()) {
+            let taken = self.plan.set_items(axis, instance, items);
+            if let Err(faults) = taken.and_then(|taken| if taken { self.grow() } else { Ok(()) }) {
                 self.plan.unset_items(axis);
                 return self.report_faults(instance, &use_of_it, &faults);
             }

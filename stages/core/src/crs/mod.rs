@@ -1,9 +1,11 @@
-//! Coordinate reference systems: read from what files state, carried with every artefact, written again. Nothing is reprojected.
+//! Coordinate reference systems: read from what files state, carried with every artefact, written again. Nothing is reprojected,
+//! but for the degrees of an export ([`Degrees`]).
 //!
 //! Coordinates inside are metres. A [`Crs`] is therefore projected, with metres along its axes; what files state otherwise is a
 //! [`Stated`] system, which [`settle`] makes one of, converting feet and refusing degrees.
 
 mod datums;
+mod degrees;
 pub mod geo_keys;
 mod heights;
 mod metric;
@@ -14,6 +16,7 @@ mod stated;
 mod unit;
 pub mod wkt;
 
+pub use degrees::Degrees;
 pub use scale::Scale;
 pub use settle::{CrsName, Settled, Tool, settle, wall_without_system};
 pub use stated::{Kind, Stated};

@@ -48,6 +48,32 @@ impl Scale {
     }
 }
 
+/// A place on the ellipsoid of a map.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct OnEllipsoid {
+    /// Longitude from Greenwich and latitude, radians.
+    pub place: [f64; 2],
+    /// Half axis of the ellipsoid, metres, and the square of its eccentricity.
+    pub ellipsoid: [f64; 2],
+}
+
+/// Where an easting and a northing in metres are, to a millimetre; `None` where [`Scale::at`] has none, and for projections whose formula
+/// here is an approximation.
+pub(super) fn place(plane: &Node, [easting_m, northing_m]: [f64; 2]) -> Option<OnEllipsoid> {
+    let [false_easting_m, false_northing_m] = signature::false_origin(plane);
+    let map = Map::of(plane)?;
+    if !map.is_exact(plane) {
+        return None;
+    }
+    let [lon, lat] = map.inverse([easting_m - false_easting_m, northing_m - false_northing_m])?;
+    Some(OnEllipsoid { place: [map.lon0 + lon, lat], ellipsoid: [map.a, map.e2] })
+}
+
+/// Whether [`place`] has a formula for the projection of a map.
+pub(super) fn has_places(plane: &Node) -> bool {
+    Map::of(plane).is_some_and(|map| map.is_exact(plane))
+}
+
 impl std::fmt::Display for Scale {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let [least, greatest] = self.lengths;
@@ -173,6 +199,17 @@ impl Map {
             azimuth,
             turn: angle("rectifiedgridangle").unwrap_or(azimuth),
         })
+    }
+
+    /// Whether the formula is that of the projection: oblique cylinders other than the Swiss, stereographic maps beside a pole that are no double
+    /// projections, and maps that PROJ takes on a sphere differ from theirs.
+    fn is_exact(&self, plane: &Node) -> bool {
+        match self.family {
+            Family::ObliqueCylinder => (self.azimuth - std::f64::consts::FRAC_PI_2).abs() < 1e-9,
+            Family::Stereographic => signature::projection(plane).is_some_and(|name| name == "obliquestereographic"),
+            Family::Equirectangular => false,
+            _ => true,
+        }
     }
 
     fn e(&self) -> f64 {

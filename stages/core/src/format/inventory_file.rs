@@ -92,8 +92,8 @@ fn geometry(outline: &[Polygon]) -> String {
     format!("{{\"type\":\"MultiPolygon\",\"coordinates\":{}}}", json!(coordinates))
 }
 
-/// A whole number is written as one, so that programs make the column one of whole numbers.
-fn value(cell: &Cell) -> Value {
+/// A cell as JSON: a whole number is written as one, so that programs make the column one of whole numbers.
+pub fn value(cell: &Cell) -> Value {
     match cell {
         Cell::Number(x) if x.fract() == 0.0 && x.abs() < LARGEST_WHOLE && (*x != 0.0 || x.is_sign_positive()) => {
             json!(*x as i64)

@@ -8,7 +8,8 @@ use crate::survey::block_adjustment::normals::{ObjectPoint, Priors, reduced};
 use crate::survey::block_adjustment::propagation::{in_all, pair_effect, stereo_pairs};
 use crate::survey::block_adjustment::tie_points::{Visibility, Wanted, control_points, tie_points};
 use crate::survey::block_adjustment::unknowns::{FreeInterior, Unknowns};
-use rockface_core::artefact::{Cameras, Covariance, Frame, Kind, Mesh, Table};
+use crate::survey::surveyed_points::{self, Surveyed};
+use rockface_core::artefact::{Cameras, Covariance, Frame, Kind, Mesh, Table, Transform};
 use rockface_core::params::{Fault, Range};
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params};
 
@@ -69,9 +70,9 @@ params! {
         most_images: usize = 8; Range::AtLeast(2.0),
         /// Standard deviation of an image coordinate of a tie point, pixels.
         image_sigma_px: f64 = 0.5; Range::Positive,
-        /// Control points, spread over the face and measured in every image that sees them.
+        /// Control points, spread over the face and measured in every image that sees them; those of the input `control` take their place.
         control_points: usize = 8,
-        /// Standard deviation of each coordinate of a control point, metres.
+        /// Standard deviation of each coordinate of a control point, metres; of those of `control` where their rows say none.
         control_sigma_m: f64 = 0.005; Range::Positive,
         /// Standard deviation of an image coordinate of a control point, pixels; null: that of tie points.
         control_sigma_px: Option<f64> = None; Range::Positive,
@@ -88,6 +89,8 @@ params! {
     }
 }
 
+/// Control points that a warning names at most.
+const NAMED: usize = 10;
 /// Points for the mean effect on a pair.
 const EFFECT_POINTS: usize = 120;
 /// Pairs whose expected effects are reported.
@@ -105,6 +108,12 @@ impl Stage for EstimateCovariance {
     const INPUTS: &'static [Port] = &[
         Port::one("cameras", &[Kind::Cameras], "The orientation the adjustment is linearised at."),
         Port::one("mesh", &[Kind::Mesh], "The face, in the same frame."),
+        Port::optional(
+            "control",
+            &[Kind::Table],
+            "Control points of a survey, instead of those spread over the face: `x_m`, `y_m`, `z_m`, with `sx_m`, `sy_m`, `sz_m` or `sigma_m`.",
+        ),
+        Port::optional("transform", &[Kind::Transform], "wall_from_world, where `control` is in world coordinates."),
     ];
     const OUTPUTS: &'static [Port] = &[
         Port::one("covariance", &[Kind::Covariance], "Full joint covariance, in canonical order."),
@@ -163,7 +172,8 @@ impl Stage for EstimateCovariance {
             let error = StageError::new(format!("the mesh is in the {a} frame, the cameras in the {b} frame"));
             return Err(error.hint("send both through one transform-crs"));
         }
-        let points = object_points(params, cameras, mesh, context)?;
+        let surveyed = surveyed(params, cameras, inputs)?;
+        let points = object_points(params, cameras, mesh, surveyed.as_deref(), context)?;
         let unknowns = Unknowns::new(cameras, free_interior(params));
         let priors = priors(params, cameras, context)?;
         let normals = reduced(cameras, &unknowns, &points, &priors)?;
@@ -236,6 +246,7 @@ fn object_points(
     params: &EstimateCovarianceParams,
     cameras: &Cameras,
     mesh: &Mesh,
+    surveyed: Option<&[Surveyed]>,
     context: &Context,
 ) -> Result<Vec<ObjectPoint>, StageError> {
     let visibility = Visibility::new(cameras, mesh);
@@ -265,8 +276,66 @@ fn object_points(
         }
     }
     let control_sigma_px = params.control_sigma_px.unwrap_or(sigma_px);
-    let control = control_points(&points, &visibility, params.control_points, control_sigma_px, params.control_sigma_m);
+    let control = match surveyed {
+        Some(surveyed) => measured(surveyed, &visibility, control_sigma_px, cameras.frame, context)?,
+        None => control_points(&points, &visibility, params.control_points, control_sigma_px, params.control_sigma_m),
+    };
     points.extend(control);
+    Ok(points)
+}
+
+/// The control points that are given, in the frame of the cameras.
+fn surveyed(
+    params: &EstimateCovarianceParams,
+    cameras: &Cameras,
+    inputs: &Inputs,
+) -> Result<Option<Vec<Surveyed>>, StageError> {
+    let transform = inputs.optional::<Transform>("transform")?;
+    let Some(table) = inputs.optional::<Table>("control")? else {
+        if transform.is_some() {
+            fail!("`transform` moves the points of `control`, which is not given");
+        }
+        return Ok(None);
+    };
+    if params.datum == DatumKind::Inner {
+        fail!("datum `inner` has no control points: leave `control` out");
+    }
+    surveyed_points::read(table, params.control_sigma_m, cameras.frame, transform).map(Some)
+}
+
+/// Those of the given control points that two images see.
+fn measured(
+    surveyed: &[Surveyed],
+    visibility: &Visibility,
+    sigma_px: f64,
+    frame: Frame,
+    context: &Context,
+) -> Result<Vec<ObjectPoint>, StageError> {
+    let (mut points, mut left_out) = (Vec::new(), Vec::new());
+    for Surveyed { name, position_m, weight } in surveyed {
+        let images = visibility.images(position_m);
+        if images.len() < 2 {
+            left_out.push(name.as_str());
+            continue;
+        }
+        points.push(ObjectPoint { position_m: *position_m, images, sigma_px, control_weight: Some(*weight) });
+    }
+    if points.is_empty() {
+        let message = format!("none of the {} points of `control` is seen by two images", surveyed.len());
+        let hint = if frame == Frame::Wall {
+            "they have to be in the wall frame, as the cameras are: points in map coordinates need `transform` of `transform-crs` here"
+        } else {
+            "they have to be in the frame of the cameras, in metres"
+        };
+        return Err(StageError::new(message).hint(hint));
+    }
+    if !left_out.is_empty() {
+        let (count, names) = (left_out.len(), left_out.iter().take(NAMED).copied().collect::<Vec<_>>().join(", "));
+        let more = if count > NAMED { ", ..." } else { "" };
+        context.warn(format!(
+            "{count} points of `control` are left out, as fewer than two images see them: {names}{more}"
+        ));
+    }
     Ok(points)
 }
 
@@ -309,7 +378,7 @@ fn report(inverse: &Inverse, unknowns: &Unknowns, observations: usize, points: &
     context.metric("rotation_sigma_rms", rms(&|p| matches!(p, Parameter::Exterior(_, 0..3))), "rad");
     context.metric("position_sigma_rms", rms(&|p| matches!(p, Parameter::Exterior(_, 3..))), "m");
     context.metric("condition", inverse.condition, "1");
-    let control = points.iter().filter(|point| point.control_sigma_m.is_some()).count();
+    let control = points.iter().filter(|point| point.control_weight.is_some()).count();
     let rays = points.iter().map(|point| point.images.len()).sum::<usize>() as f64 / points.len() as f64;
     context.note(format!(
         "{observations} image coordinates of {} tie points and {control} control points ({rays:.1} images each), {} \

@@ -5,6 +5,7 @@ pub mod face;
 pub mod forecast;
 pub mod overlap;
 pub mod stations;
+mod surveyed_points;
 
 // A new stage is its file, its `mod` here and its row below.
 mod estimate_covariance;

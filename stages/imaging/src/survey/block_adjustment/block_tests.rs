@@ -4,7 +4,7 @@ use nalgebra::{DMatrix, Matrix3, Vector3};
 
 use super::datum::similarity_modes;
 use super::inverse::{Datum, invert};
-use super::normals::{ObjectPoint, Priors, reduced};
+use super::normals::{ObjectPoint, Priors, even_weight, reduced};
 use super::partials::Partials;
 use super::unknowns::{FreeInterior, Unknowns};
 use crate::camera::model::Camera;
@@ -34,7 +34,7 @@ pub(super) fn small_block() -> (Cameras, Vec<ObjectPoint>) {
             position_m: Vector3::new(1.1 * i, 0.8 * j, 0.7 * ((at * 7) % 5) as f64 - 1.4),
             images: if at % 4 == 3 { vec![0, 1] } else { vec![0, 1, 2] },
             sigma_px: 0.5,
-            control_sigma_m: at.is_multiple_of(6).then_some(0.01),
+            control_weight: at.is_multiple_of(6).then_some(even_weight(0.01)),
         }
     };
     (Cameras { frame: Frame::Wall, sensors: vec![sensor], images }, (0..25).map(point).collect())
@@ -60,7 +60,7 @@ fn dense(cameras: &Cameras, unknowns: &Unknowns, points: &[ObjectPoint], priors:
             }
         }
         for axis in 0..3 {
-            let weight = point.control_sigma_m.map_or(0.0, |sigma| 1.0 / (sigma * sigma));
+            let weight = point.control_weight.map_or(0.0, |weight| weight[(axis, axis)]);
             normal[(n + 3 * at + axis, n + 3 * at + axis)] += weight;
         }
     }
@@ -105,7 +105,7 @@ fn elimination_gives_what_the_whole_matrix_gives() {
 #[test]
 fn a_free_block_has_its_seven_modes_and_no_others() {
     let (cameras, mut points) = small_block();
-    points.iter_mut().for_each(|point| point.control_sigma_m = None);
+    points.iter_mut().for_each(|point| point.control_weight = None);
     let unknowns = Unknowns::new(&cameras, Vec::new());
     let normals = reduced(&cameras, &unknowns, &points, &Priors::default()).unwrap();
     let modes = similarity_modes(&cameras, &unknowns);
@@ -152,7 +152,7 @@ fn what_nothing_measures_is_named() {
     flat.iter_mut().for_each(|point| {
         point.position_m.z = 0.0;
         point.images = vec![0, 1];
-        point.control_sigma_m = Some(0.01);
+        point.control_weight = Some(even_weight(0.01));
     });
     let unknowns = Unknowns::new(&cameras, vec![FreeInterior { place: 0, sigma: None }]);
     let normals = reduced(&cameras, &unknowns, &flat, &Priors::default()).unwrap();

@@ -15,6 +15,11 @@ use crate::camera::orientation_parameters::correct;
 use rockface_core::artefact::{Cameras, Covariance};
 use rockface_core::numerics::random::{Field, Key};
 
+/// The standard deviation of a control point whose coordinates have the same.
+fn control_sigma_m(point: &ObjectPoint) -> Option<f64> {
+    point.control_weight.map(|weight| 1.0 / weight[(0, 0)].sqrt())
+}
+
 /// Gauss-Newton of a whole small block, object points among the unknowns; returns the corrections of the orientation.
 fn adjust(cameras: &Cameras, unknowns: &Unknowns, points: &[ObjectPoint], field: &Field, trial: i32) -> Vec<f64> {
     let (n, mut draw) = (unknowns.count(), 0);
@@ -32,7 +37,7 @@ fn adjust(cameras: &Cameras, unknowns: &Unknowns, points: &[ObjectPoint], field:
             pixel.map(|at| at + point.sigma_px * normal())
         };
         measured.push(point.images.iter().map(pixel).collect());
-        let sigma = point.control_sigma_m.unwrap_or(0.0);
+        let sigma = control_sigma_m(point).unwrap_or(0.0);
         control.push(point.position_m + Vector3::new(normal(), normal(), normal()) * sigma);
     }
     let known: Vec<f64> = unknowns.free.iter().map(|free| free.sigma.unwrap_or(0.0) * normal()).collect();
@@ -60,7 +65,7 @@ fn adjust(cameras: &Cameras, unknowns: &Unknowns, points: &[ObjectPoint], field:
                     observe(&columns, pixel[row] - partials.pixel[row], point.sigma_px);
                 }
             }
-            if let Some(sigma) = point.control_sigma_m {
+            if let Some(sigma) = control_sigma_m(point) {
                 (0..3).for_each(|axis| {
                     observe(&[(n + 3 * at + axis, 1.0)], control[at][axis] - point.position_m[axis], sigma);
                 });

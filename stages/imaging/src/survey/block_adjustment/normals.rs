@@ -20,8 +20,13 @@ pub struct ObjectPoint {
     pub images: Vec<usize>,
     /// Standard deviation of an image coordinate, pixels.
     pub sigma_px: f64,
-    /// Standard deviation of each coordinate of a control point, metres; `None` for a tie point.
-    pub control_sigma_m: Option<f64>,
+    /// Weight of the coordinates of a control point, the inverse of their covariance, per square metre; `None` for a tie point.
+    pub control_weight: Option<Matrix3<f64>>,
+}
+
+/// The weight of coordinates with one standard deviation, metres.
+pub fn even_weight(sigma_m: f64) -> Matrix3<f64> {
+    Matrix3::identity() / (sigma_m * sigma_m)
 }
 
 /// Further observations of every image.
@@ -129,8 +134,8 @@ impl Rays {
             }
             rows.push(row);
         }
-        if let Some(sigma) = point.control_sigma_m {
-            v += Matrix3::identity() / (sigma * sigma);
+        if let Some(weight) = point.control_weight {
+            v += weight;
         }
         let p = point.position_m;
         let size = v.trace() / 3.0;

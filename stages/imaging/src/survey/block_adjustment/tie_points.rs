@@ -5,7 +5,7 @@ use rand::seq::SliceRandom;
 use rand::{Rng, RngExt};
 use rayon::prelude::*;
 
-use super::normals::ObjectPoint;
+use super::normals::{ObjectPoint, even_weight};
 use crate::camera::back_side::shows_back;
 use crate::camera::model::Camera;
 use crate::depth::depth_buffer::{DepthBuffer, Drawing, draw};
@@ -92,7 +92,7 @@ pub fn tie_points(mesh: &Mesh, visibility: &Visibility, wanted: &Wanted, random:
             images.sort_unstable();
         }
         if images.len() >= 2 {
-            points.push(ObjectPoint { position_m, images, sigma_px: wanted.sigma_px, control_sigma_m: None });
+            points.push(ObjectPoint { position_m, images, sigma_px: wanted.sigma_px, control_weight: None });
         }
     }
     points
@@ -152,7 +152,7 @@ pub fn control_points(
             *distance = distance.min((point.position_m - position_m).norm_squared());
         }
         let images = visibility.images(&position_m);
-        chosen.push(ObjectPoint { position_m, images, sigma_px, control_sigma_m: Some(sigma_m) });
+        chosen.push(ObjectPoint { position_m, images, sigma_px, control_weight: Some(even_weight(sigma_m)) });
     }
     chosen
 }

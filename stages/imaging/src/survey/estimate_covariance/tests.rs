@@ -147,6 +147,59 @@ fn eighty_images_are_adjusted_in_seconds() {
     assert!(host.metric("position_sigma_rms").unwrap() < 0.025);
 }
 
+/// The covariance with control points that are given.
+fn with_control(
+    host: &TestHost,
+    (cameras, mesh): &(Cameras, Mesh),
+    control: Table,
+    transform: Option<Transform>,
+) -> Result<Covariance, StageError> {
+    let mut inputs =
+        vec![("cameras", cameras.clone().into()), ("mesh", mesh.clone().into()), ("control", control.into())];
+    inputs.extend(transform.map(|transform| ("transform", Artefact::from(transform))));
+    match run_stage::<EstimateCovariance>(host, &json!({}), &inputs)?.into_inner().remove("covariance") {
+        Some(Artefact::Covariance(covariance)) => Ok(covariance),
+        other => panic!("{other:?}"),
+    }
+}
+
+fn corners(sigma_m: f64, shift: [f64; 3], more: &[[f64; 3]]) -> Table {
+    let mut table = Table::new(["name", "x_m", "y_m", "z_m", "sigma_m"]);
+    let on_face = [[-10.0, -8.0, 0.0], [10.0, -8.0, 0.0], [-10.0, 8.0, 0.0], [10.0, 8.0, 0.0]];
+    for (number, place) in on_face.iter().chain(more).enumerate() {
+        let [x, y, z] = std::array::from_fn(|i| place[i] + shift[i]);
+        table.push(vec![format!("GCP{number}").into(), x.into(), y.into(), z.into(), sigma_m.into()]);
+    }
+    table
+}
+
+#[test]
+fn control_points_of_a_survey_take_the_place_of_those_spread_over_the_face() {
+    let station = station();
+    let depth_of = |sigma_m: f64| {
+        let host = TestHost::default();
+        with_control(&host, &station, corners(sigma_m, [0.0; 3], &[]), None).unwrap();
+        assert!(host.warnings().is_empty(), "{:?}", host.warnings());
+        host.metric("expected_depth_error").unwrap()
+    };
+    assert!(depth_of(0.05) > 3.0 * depth_of(0.002));
+    // One out of sight is left out, and named; the others count as before.
+    let host = TestHost::default();
+    let seen = with_control(&host, &station, corners(0.01, [0.0; 3], &[[300.0, 0.0, 0.0]]), None).unwrap();
+    assert!(host.warnings()[0].contains("1 points of `control` are left out") && host.warnings()[0].contains("GCP4"));
+    let alone = with_control(&TestHost::default(), &station, corners(0.01, [0.0; 3], &[]), None).unwrap();
+    assert_eq!(seen.matrix, alone.matrix);
+    // Map coordinates need the transform.
+    let shift = [450_000.0, 5_000_000.0, 800.0];
+    let on_map = || corners(0.01, shift, &[]);
+    let error = with_control(&TestHost::default(), &station, on_map(), None).unwrap_err();
+    assert!(error.message.contains("none of the 4 points") && error.hint.unwrap().contains("`transform`"));
+    let way = Transform { origin: shift, ..Transform::identity("world", "wall") };
+    let moved = with_control(&TestHost::default(), &station, on_map(), Some(way)).unwrap();
+    let mut pairs = moved.matrix.iter().flatten().zip(alone.matrix.iter().flatten());
+    assert!(pairs.all(|(a, b)| (a - b).abs() < 1e-9));
+}
+
 #[test]
 fn faults_name_their_parameter() {
     let check = |with: Value| EstimateCovariance::check(&EstimateCovarianceParams::decode(&with).unwrap());

@@ -16,6 +16,7 @@ use rockface_core::artefact::{Frame, Inventory, Mesh, Meshes, Part, Raster, Tran
 use rockface_core::{StageError, fail};
 
 pub use facets::Facets;
+pub use record::world_from_wall;
 
 /// One piece of rock that was removed, in the wall frame, as whoever removed it knows it.
 #[derive(Debug, Clone, PartialEq)]
