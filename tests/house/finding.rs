@@ -103,6 +103,7 @@ fn a_file_that_was_read_afterwards_still_leads_to_the_step_that_made_it() {
         assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
         String::from_utf8(output.stdout).unwrap()
     };
+    rockface(&["run", "p.yaml"]);
     rockface(&["export", "p.yaml", "face.mesh", "face.ply"]);
     rockface(&["export", "p.yaml", "face.mesh", "plain.ply", "--plain"]);
     let reader = "rockface: 1\nsteps:\n  scan: {stage: import-mesh, with: {path: face.ply}}\n  other: {stage: import-mesh, with: {path: plain.ply}}\n";

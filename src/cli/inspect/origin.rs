@@ -29,9 +29,10 @@ pub fn of(path: &Path, digest: &Digest, bytes: &[u8], places: &Places) -> Facts 
     let runs = runs(path, places);
     let wanted = original.as_ref().unwrap_or(digest);
     let mut by_digest = runs.iter().rev().filter_map(|run| by_digest(run, wanted, digest)).collect::<Vec<_>>();
-    // Where several steps made the same, the one that the file names.
-    if by_digest.iter().any(|found| record.is_some() && found.done.key == record) {
-        by_digest.retain(|found| found.done.key == record);
+    // Where several steps have the same output, the one that the file names, else that of the oldest run: others can only have read it since.
+    let named = by_digest.iter().find(|found| record.is_some() && found.done.key == record);
+    if let Some(maker) = named.or(by_digest.last()).map(|found| found.done.stage.clone()) {
+        by_digest.retain(|found| found.done.stage == maker);
     }
     let beside = || runs.iter().find_map(|run| beside(run, path));
     match (by_digest.first(), by_digest.len()) {

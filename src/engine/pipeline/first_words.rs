@@ -26,7 +26,7 @@ pub fn slip(text: &str, at: usize, reason: &str) -> Option<Slip> {
         .or_else(|| pick(text, at))
         .or_else(|| reason.contains("misplaced bracket").then(|| surplus(text, at)).flatten())
         .or_else(|| reason.contains("flow").then(|| missing_colon(text, at).or_else(|| unclosed(text, at))).flatten())
-        .or_else(|| outline::slip(text, at))
+        .or_else(|| reason.contains("not YAML").then(|| outline::slip(text, at)).flatten())
 }
 
 /// The bytes of the line that holds a byte, and its number from one.
@@ -185,7 +185,7 @@ mod tests {
     fn any_place_in_any_text_is_looked_at_without_panic() {
         let text = "é: {a [\"\\ü\n\t}] # ü\n  'x: [b.c[d=ß]}\n\"\\x";
         for at in 0..=text.len() + 2 {
-            for reason in ["misplaced bracket", "flow", "block mapping", "escape character", ""] {
+            for reason in ["misplaced bracket", "flow", "not YAML", "escape character", ""] {
                 let _ = slip(text, at, reason);
             }
         }

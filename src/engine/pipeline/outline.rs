@@ -149,7 +149,7 @@ impl Outline<'_> {
         let line = &self.text[own.bytes.clone()];
         let name = line.find(|c: char| !is_word(c)).map_or(line, |end| &line[..end]);
         let rest = line[name.len()..].trim_start();
-        if name.is_empty() {
+        if !name.starts_with(|c: char| c.is_ascii_alphabetic() || c == '_') {
             return None;
         }
         let bytes = own.bytes.start..own.bytes.start + name.len();

@@ -391,6 +391,8 @@ impl<'a> Context<'a> {
 
     /// Logs a number with its unit, which is `1` where it has none.
     pub fn metric(&self, name: &str, value: f64, unit: &str) {
+        // The sum of no numbers is -0, which nobody wants to read.
+        let value = value + 0.0;
         self.0.record(Entry::Metric { name: name.to_owned(), value, unit: unit.to_owned() });
     }
 

@@ -1,14 +1,16 @@
 //! Coordinate reference systems: read from what files state, carried with every artefact, written again. Nothing is reprojected,
-//! but for the degrees of an export ([`Degrees`]).
+//! but for the degrees of an export ([`Degrees`]) and geocentric cameras, whose places on a map [`Plane`] has.
 //!
 //! Coordinates inside are metres. A [`Crs`] is therefore projected, with metres along its axes; what files state otherwise is a
 //! [`Stated`] system, which [`settle`] makes one of, converting feet and refusing degrees.
 
 mod datums;
 mod degrees;
+mod earth;
 pub mod geo_keys;
 mod heights;
 mod metric;
+mod plane;
 mod scale;
 mod settle;
 mod signature;
@@ -16,7 +18,10 @@ mod stated;
 mod unit;
 pub mod wkt;
 
-pub use degrees::Degrees;
+pub use datums::known as known_datum;
+pub use degrees::{Degrees, is_like_wgs_84};
+pub use earth::{DatumShift, Ellipsoid};
+pub use plane::Plane;
 pub use scale::Scale;
 pub use settle::{CrsName, Settled, Tool, settle, wall_without_system};
 pub use stated::{Kind, Stated};

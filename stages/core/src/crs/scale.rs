@@ -48,32 +48,6 @@ impl Scale {
     }
 }
 
-/// A place on the ellipsoid of a map.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct OnEllipsoid {
-    /// Longitude from Greenwich and latitude, radians.
-    pub place: [f64; 2],
-    /// Half axis of the ellipsoid, metres, and the square of its eccentricity.
-    pub ellipsoid: [f64; 2],
-}
-
-/// Where an easting and a northing in metres are, to a millimetre; `None` where [`Scale::at`] has none, and for projections whose formula
-/// here is an approximation.
-pub(super) fn place(plane: &Node, [easting_m, northing_m]: [f64; 2]) -> Option<OnEllipsoid> {
-    let [false_easting_m, false_northing_m] = signature::false_origin(plane);
-    let map = Map::of(plane)?;
-    if !map.is_exact(plane) {
-        return None;
-    }
-    let [lon, lat] = map.inverse([easting_m - false_easting_m, northing_m - false_northing_m])?;
-    Some(OnEllipsoid { place: [map.lon0 + lon, lat], ellipsoid: [map.a, map.e2] })
-}
-
-/// Whether [`place`] has a formula for the projection of a map.
-pub(super) fn has_places(plane: &Node) -> bool {
-    Map::of(plane).is_some_and(|map| map.is_exact(plane))
-}
-
 impl std::fmt::Display for Scale {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let [least, greatest] = self.lengths;
@@ -86,7 +60,7 @@ impl std::fmt::Display for Scale {
 
 /// The families of projections.
 #[derive(Debug, Clone, Copy, PartialEq)]
-enum Family {
+pub(super) enum Family {
     Transverse,
     Conformal,
     EqualAreaCone,
@@ -101,13 +75,15 @@ enum Family {
 }
 
 /// A projection with its parameters: angles in radians, lengths in metres.
-struct Map {
+#[derive(Debug, Clone)]
+pub(super) struct Map {
     family: Family,
     /// Half axis of the ellipsoid and the square of its eccentricity.
-    a: f64,
-    e2: f64,
+    pub a: f64,
+    pub e2: f64,
     lat0: f64,
-    lon0: f64,
+    /// From Greenwich.
+    pub lon0: f64,
     lat1: Option<f64>,
     lat2: Option<f64>,
     k0: f64,
@@ -164,7 +140,7 @@ fn family(projection: &str, lat0: f64) -> Option<Family> {
 }
 
 impl Map {
-    fn of(plane: &Node) -> Option<Self> {
+    pub fn of(plane: &Node) -> Option<Self> {
         let base = plane.child(&["GEOGCS", "BASEGEOGCRS", "BASEGEODCRS"])?;
         let datum = base.child(&["DATUM", "ENSEMBLE", "GEODETICDATUM", "TRF"])?;
         let ellipsoid = datum.child(&["SPHEROID", "ELLIPSOID"])?;
@@ -203,7 +179,7 @@ impl Map {
 
     /// Whether the formula is that of the projection: oblique cylinders other than the Swiss, stereographic maps beside a pole that are no double
     /// projections, and maps that PROJ takes on a sphere differ from theirs.
-    fn is_exact(&self, plane: &Node) -> bool {
+    pub fn is_exact(&self, plane: &Node) -> bool {
         match self.family {
             Family::ObliqueCylinder => (self.azimuth - std::f64::consts::FRAC_PI_2).abs() < 1e-9,
             Family::Stereographic => signature::projection(plane).is_some_and(|name| name == "obliquestereographic"),
@@ -236,7 +212,7 @@ impl Map {
     }
 
     /// Easting and northing from the false origin, metres, of a longitude from the central meridian and a latitude.
-    fn forward(&self, [lon, lat]: [f64; 2]) -> [f64; 2] {
+    pub fn forward(&self, [lon, lat]: [f64; 2]) -> [f64; 2] {
         match self.family {
             Family::Transverse => {
                 let [x, y] = self.transverse([lon, lat]);
@@ -279,13 +255,15 @@ impl Map {
         let radius = self.a / (1.0 + n) * (1.0 + n * n / 4.0 + n * n * n * n / 64.0);
         let [sinh, cosh, _] = hyperbolic(self.isometric(lat));
         let (up, along) = (atan2(sinh, cos(lon)), artanh(sin(lon) / cosh));
+        let (n2, n3, n4) = (n * n, n * n * n, n * n * n * n);
         let series = [
-            n / 2.0 - 2.0 / 3.0 * n * n + 5.0 / 16.0 * n * n * n,
-            13.0 / 48.0 * n * n - 3.0 / 5.0 * n * n * n,
-            61.0 / 240.0 * n * n * n,
+            n / 2.0 - 2.0 / 3.0 * n2 + 5.0 / 16.0 * n3 + 41.0 / 180.0 * n4,
+            13.0 / 48.0 * n2 - 3.0 / 5.0 * n3 + 557.0 / 1440.0 * n4,
+            61.0 / 240.0 * n3 - 103.0 / 140.0 * n4,
+            49_561.0 / 161_280.0 * n4,
         ];
         let (mut x, mut y) = (along, up);
-        for (factor, term) in [2.0, 4.0, 6.0].into_iter().zip(series) {
+        for (factor, term) in [2.0, 4.0, 6.0, 8.0].into_iter().zip(series) {
             let [sinh, cosh, _] = hyperbolic(factor * along);
             x += term * cos(factor * up) * sinh;
             y += term * sin(factor * up) * cosh;
@@ -396,7 +374,7 @@ impl Map {
     }
 
     /// Longitude from the central meridian and latitude of a place on the map.
-    fn inverse(&self, wanted: [f64; 2]) -> Option<[f64; 2]> {
+    pub fn inverse(&self, wanted: [f64; 2]) -> Option<[f64; 2]> {
         let [mut lon, mut lat] = self.guess(wanted);
         for _ in 0..MOST_STEPS {
             lat = lat.clamp(-POLE, POLE);

@@ -1,13 +1,17 @@
 //! Image blocks in geocentric coordinates, as of chunks on the Earth, brought to a map.
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, Rotation3, Vector3};
 use std::collections::HashMap;
 
 use crate::camera::map_projection::MapProjection;
 use crate::camera::model::Camera;
 use crate::camera::orientation::{quaternion, turn_positions};
 use rockface_core::artefact::{Cameras, Covariance, Image, Sensor};
+use rockface_core::crs::DatumShift;
 use rockface_core::{StageError, fail};
+
+/// Lengths on a map that differ less from one direction to another are those of a conformal one.
+const CONFORMAL: f64 = 1e-5;
 
 /// What a map is at the images of a block.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -23,26 +27,39 @@ pub struct AtBlock {
 /// Brings centres to the map with heights above the ellipsoid, and turns rotations and the covariance of centres by the rotation nearest to the
 /// derivatives of the map at each image.
 ///
+/// With a `shift` the centres are in WGS 84 and the map is on an older datum, to which they are shifted first.
+///
 /// Covariances of rotations are about the axes of the camera and stay. That of centres is turned and not scaled: the scale of a map is one to
 /// some thousandths.
 ///
 /// # Errors
 ///
-/// A centre where the map does not reach, by name.
+/// A centre where the map does not reach, by name; a map that is not conformal.
 pub fn to_map(
     cameras: &mut Cameras,
     covariance: Option<&mut Covariance>,
     map: &MapProjection,
+    shift: Option<&DatumShift>,
 ) -> Result<AtBlock, StageError> {
+    let angles = shift.map_or([0.0; 3], DatumShift::angles).map(|angle| -angle);
+    let datum_from_file = Rotation3::from_scaled_axis(Vector3::from(angles)).into_inner();
     let mut turns: HashMap<String, Matrix3<f64>> = HashMap::new();
     let mut found: Option<AtBlock> = None;
     for image in &mut cameras.images {
-        let Some(at) = map.place(image.centre_m) else {
+        let centre_m = shift.map_or(image.centre_m, |shift| shift.from_wgs_84(image.centre_m));
+        let Some(at) = map.place(centre_m) else {
             fail!("image `{}` at geocentric {:?} is at no place of the map", image.name, image.centre_m)
         };
         image.centre_m = at.place_m;
-        image.set_rotation(&(image.rotation() * quaternion(&at.map_from_earth).inverse()));
-        turns.insert(image.name.clone(), at.map_from_earth);
+        if at.uneven > CONFORMAL {
+            fail!(
+                "lengths on the map differ by {:.4} % from one direction to another, so no rotation fits the images",
+                100.0 * at.uneven
+            )
+        }
+        let map_from_file = at.map_from_earth * datum_from_file;
+        image.set_rotation(&(image.rotation() * quaternion(&map_from_file).inverse()));
+        turns.insert(image.name.clone(), map_from_file);
         let off_px = off_px(&cameras.sensors[image.sensor], image, at.scale);
         let before =
             found.unwrap_or(AtBlock { scales: [at.scale; 2], convergence_deg: at.convergence_deg, most_px: off_px });

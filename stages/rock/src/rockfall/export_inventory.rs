@@ -179,10 +179,12 @@ fn report(context: &Context, inventory: &Inventory, crs: &Crs, degrees: &Degrees
     }
     let without = inventory.features.len() - count;
     if without > 0 {
-        context.warn(format!("{without} rockfalls without a place in the world are left out"));
+        let whose = if without == 1 { "1 rockfall".to_owned() } else { format!("{without} rockfalls") };
+        context.warn(format!("left out for want of a place in the world: {whose}"));
     }
     context.metric("rockfalls", count as f64, "1");
-    context.headline(format!("{count} rockfalls from {crs} in longitude and latitude"));
+    let noun = if count == 1 { "rockfall" } else { "rockfalls" };
+    context.headline(format!("{count} {noun} from {crs} in longitude and latitude"));
 }
 
 fn kml(inventory: &Inventory, shown: &[Shown], crs: &Crs, absolute: bool) -> Result<Vec<u8>, StageError> {
@@ -298,7 +300,7 @@ mod tests {
         let value = class.descendants().find(|node| node.tag_name().name() == "value").unwrap();
         assert_eq!(value.text(), Some("a <b> & \"c\"\u{fffd}"));
         assert_eq!(tagged("Polygon").count(), 1);
-        assert!(host.warnings()[0].contains("1 rockfalls without a place"));
+        assert!(host.warnings()[0].ends_with("want of a place in the world: 1 rockfall"));
         let (text, _) = run(&json!({"altitude": "ground", "name": "class"}), truth(in_utm())).unwrap();
         assert!(!text.contains("absolute") && text.contains("<name>a &lt;b&gt;"), "{text}");
     }

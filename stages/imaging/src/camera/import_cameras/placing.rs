@@ -7,7 +7,7 @@ use crate::camera::geocentric::AtBlock;
 use crate::camera::map_projection::{Datum, MapProjection, place_deg};
 use rockface_core::artefact::{Frame, Georeference};
 use rockface_core::crs::wkt::Node;
-use rockface_core::crs::{Crs, Kind, Stated, Tool, settle};
+use rockface_core::crs::{Crs, DatumShift, Kind, Plane, Stated, Tool, is_like_wgs_84, settle};
 use rockface_core::{Context, StageError};
 
 /// What is off by more than this in the images is warned of, pixels.
@@ -88,15 +88,17 @@ fn to_map(
     let crs = wanted(reference, first, params, context)?;
     let of_crs = Datum::of(&Node::parse(&crs.wkt()).map_err(StageError::new)?);
     let of_chunk = reference.node.as_ref().and_then(Datum::of);
-    check_datum(of_chunk, of_crs, (path, &crs), context)?;
-    let cannot = || {
-        let text = format!("cameras cannot be brought to {crs} ({}): its projection is not computed here", crs.name());
-        let way = "transverse Mercator (UTM, Gauss-Krueger) and Lambert's conformal cone are: give the UTM zone of the site as `crs`, or export model and cameras \
-                   from a local system (metres)";
-        StageError::new(text).hint(format!("{way}; the zone is {}", zone(first)))
-    };
-    let map = MapProjection::of(&crs).ok_or_else(cannot)?;
-    let at = geocentric::to_map(&mut file.cameras, file.covariance.as_mut(), &map)
+    let shift = datum_shift(of_chunk, of_crs, (path, &crs), context)?;
+    let map = MapProjection::of(&crs).map_err(|projection| {
+        let text =
+            format!("cameras cannot be brought to {crs} ({}): its projection `{projection}` is not computed here", crs.name());
+        StageError::new(text).hint(format!(
+            "{} are: give the UTM zone of the site as `crs`, or export model and cameras from a local system (metres); the zone is {}",
+            Plane::COMPUTED,
+            zone(first)
+        ))
+    })?;
+    let at = geocentric::to_map(&mut file.cameras, file.covariance.as_mut(), &map, shift.as_ref())
         .map_err(|error| error.hint(far(first)))?;
     if at.scales.iter().any(|scale| (scale - 1.0).abs() > MOST_OFF) {
         let text =
@@ -153,30 +155,36 @@ fn wanted(
     Ok(crs.horizontal())
 }
 
-fn check_datum(
+/// The shift from WGS 84 to the datum of the system that is wanted, where there is one.
+fn datum_shift(
     chunk: Option<Datum>,
     wanted: Option<Datum>,
     (path, crs): (&str, &Crs),
     context: &Context,
-) -> Result<(), StageError> {
-    match (chunk, wanted) {
-        (Some(chunk), Some(wanted)) if chunk.is(&wanted) => Ok(()),
-        (Some(chunk), Some(wanted)) if chunk.is_near(&wanted) => {
+) -> Result<Option<DatumShift>, StageError> {
+    let (Some(chunk), Some(wanted)) = (chunk, wanted) else {
+        context.warn(format!("the datum of the chunk of `{path}` cannot be read: it is taken for that of {crs}"));
+        return Ok(None);
+    };
+    if chunk.is(&wanted) {
+        return Ok(None);
+    }
+    let names = format!("the chunk of `{path}` is on the datum {}, {crs} on {}", chunk.name, wanted.name);
+    if chunk.is_near(&wanted) {
+        context.warn(format!("{names}: they are taken for the same, and are a metre or two apart at most"));
+        return Ok(None);
+    }
+    match DatumShift::of(crs).filter(|_| is_like_wgs_84(&chunk.name)) {
+        Some(shift) => {
             context.warn(format!(
-                "the chunk of `{path}` is on the datum {}, {crs} on {}: they are taken for the same, and are a metre or two apart at most",
-                chunk.name, wanted.name
+                "{names}: centres are shifted by the numbers that go with the code, which is exact for CH1903+ and good to some metres for other datums; a model that \
+                 was exported with a grid of shifts differs by that"
             ));
-            Ok(())
+            Ok(Some(shift))
         }
-        (Some(chunk), Some(wanted)) => Err(StageError::new(format!(
-            "the chunk of `{path}` is on the datum {}, {crs} on {}: no datum is shifted here",
-            chunk.name, wanted.name
-        ))
-        .hint("set the chunk to that system in Metashape (Reference > Convert), and export model and cameras again")),
-        _ => {
-            context.warn(format!("the datum of the chunk of `{path}` cannot be read: it is taken for that of {crs}"));
-            Ok(())
-        }
+        None => Err(StageError::new(format!("{names}: the shift from one to the other is not known here")).hint(
+            "set the chunk to that system in Metashape (Reference > Convert), and export model and cameras again",
+        )),
     }
 }
 

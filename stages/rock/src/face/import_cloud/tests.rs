@@ -153,7 +153,10 @@ fn classes_to_keep_are_listed_and_vegetation_is_warned_of() {
     assert!(refused(wall().as_bytes(), json!([2])).contains("of another format, without classes"));
     let fault =
         |classes| ImportCloud::check(&ImportCloudParams::decode(&json!({"path": "a", "classes": classes})).unwrap());
-    assert_eq!((fault(json!([])).len(), fault(json!([2, 256])).len(), fault(json!([0, 255])).len()), (1, 1, 0));
+    assert_eq!((fault(json!([])).len(), fault(json!([2, 256])).len(), fault(json!([0, 255])).len()), (0, 1, 0));
+    // An empty list is as none.
+    let (mesh, host) = import(&bytes, &json!({"outward": outward, "classes": []}));
+    assert_eq!((mesh.unwrap().vertices.len(), host.warnings().len()), (400, 1));
 }
 
 #[test]

@@ -122,6 +122,32 @@ fn points_of_the_map_fall_where_they_are_seen_in_geocentric_coordinates() {
     }
 }
 
+/// CH1903+ is shifted only, DHDN turned and scaled too; both as PROJ does with the numbers of the codes.
+#[test]
+fn centres_are_shifted_to_an_older_datum() {
+    let swiss = "2929782.500534 1103233.273730 824.351870 2929797.318852 1103244.209114 822.810949 2929788.939757 1103238.723230 817.628196 \
+                 2929782.437748 1103230.373161 812.213045 2929798.596940 1103239.880078 812.805096";
+    let german = "4476671.952405 5095695.497827 816.068686 4476687.378748 5095705.553429 814.527513 4476678.696262 5095700.563715 809.344937 \
+                  4476671.721238 5095692.606021 803.929968 4476688.403154 5095701.157918 804.521753";
+    for (code, centre_m, points_m) in [
+        ("EPSG:2056", "2929798.070289 1103226.486736 823.062889", swiss),
+        ("EPSG:31468", "4476687.100191 5095687.819336 814.779604", german),
+    ] {
+        let chunk = Chunk { centre_m, points_m, ..TRUE_TO_SCALE };
+        let (made, host) = import(&xml(&chunk, WGS_84), &json!({"crs": code}));
+        let (mut cameras, _) = made.unwrap();
+        let known = Vector3::from_column_slice(&numbers(centre_m));
+        let off = cameras.images[0].centre() - known;
+        assert!(off.norm() < 2e-3, "{code}: {off}");
+        // PROJ takes the angles as small on the way back as well, which moves all places by the same millimetre.
+        cameras.images[0].centre_m = known.into();
+        let scale = 1.0 + host.metric("map_scale_minus_1").unwrap();
+        let same_shape = off_px(&cameras, &chunk, scale);
+        assert!(same_shape.iter().all(|px| *px < 0.02), "{code}: {same_shape:?}");
+        assert!(host.warnings().iter().any(|text| text.contains("exact for CH1903+")), "{:?}", host.warnings());
+    }
+}
+
 #[test]
 fn the_covariance_of_centres_turns_along() {
     let (made, _) = import(&xml(&SCALED, &system("EPSG:32632")), &json!({}));
@@ -158,10 +184,11 @@ fn what_cannot_be_brought_to_a_map_says_why() {
         assert!(error.hint.as_ref().is_some_and(|own| own.contains(hint)), "{error:?}");
     };
     let chunk = xml(&SCALED, WGS_84);
-    says(&chunk, &json!({"crs": "EPSG:31467"}), "no datum is shifted here", "Reference > Convert");
+    says(&chunk, &json!({"crs": "EPSG:26710"}), "the shift from one to the other is not known", "Reference > Convert");
     says(&chunk, &json!({"crs": "EPSG:32632", "frame": "wall"}), "not in a wall frame", "transform-crs");
     says(&chunk, &json!({"frame": "wall"}), "not in a wall frame", "transform-crs");
-    says(&chunk, &json!({"crs": "EPSG:3035"}), "its projection is not computed here", "the zone is EPSG:32632");
+    says(&chunk, &json!({"crs": "EPSG:2057"}), "is not computed here", "the zone is EPSG:32632");
+    says(&chunk, &json!({"crs": "EPSG:3035"}), "differ by 0.2", "its UTM zone is EPSG:32632");
     says(&chunk, &json!({"crs": "EPSG:32655"}), "", "its UTM zone is EPSG:32632");
     says(&chunk, &json!({"crs": "EPSG:32632+5773"}), "no geoid is known here", "`crs: EPSG:32632`");
     let with = json!({"crs": "EPSG:32632+5773", "offset_m": [0.0, 0.0, -50.0]});
