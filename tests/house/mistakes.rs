@@ -172,3 +172,19 @@ fn a_comparison_shows_what_differs() {
     let (_, csv, _) = house.rockface(&["runs", "compare", "latest", "latest", "--format", "csv"]);
     assert!(all.lines().count() > 5 && csv.lines().count() == all.lines().count() - 1, "{all}{csv}");
 }
+
+#[test]
+fn a_parameter_that_decides_the_outputs_does_not_differ_between_items() {
+    let yaml = "rockface: 1
+axes: {c: {values: [true, false]}}
+steps:
+  face: {stage: synthesise-face, with: {width_m: 2, height_m: 1.5, spacing_m: 0.05}}
+  dem: {stage: rasterise-dem, in: {surface: face.mesh}, with: {cell_m: 0.05, method: mean, coverage: \"${c}\"}}
+";
+    let (code, _, err) = House::new(yaml).rockface(&["plan", "p.yaml"]);
+    assert!(code == Some(2) && err.contains("`coverage`: it decides the inputs and outputs of the step"), "{err}");
+    // A parameter of the pipeline is one value.
+    let one = yaml.replace("axes: {c: {values: [true, false]}}", "params: {c: true}");
+    let (code, _, err) = House::new(&one).rockface(&["plan", "p.yaml"]);
+    assert_eq!(code, Some(0), "{err}");
+}

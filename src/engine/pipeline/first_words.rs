@@ -114,6 +114,7 @@ fn surplus(text: &str, at: usize) -> Option<Slip> {
 fn missing_colon(text: &str, at: usize) -> Option<Slip> {
     let (line, _) = line_at(text, at);
     let before = text[line.start..at].trim_end();
+    let before = before.strip_suffix('=').unwrap_or(before).trim_end();
     let key = before.rsplit(|c: char| !(c.is_alphanumeric() || c == '_')).next().filter(|key| !key.is_empty())?;
     if !text[at..].starts_with(['{', '[']) {
         return None;
@@ -125,11 +126,26 @@ fn missing_colon(text: &str, at: usize) -> Option<Slip> {
 
 /// A bracket of an earlier line that is still open.
 fn unclosed(text: &str, at: usize) -> Option<Slip> {
+    let open = still_open(&text[..at]);
+    // Where every bracket of the text is closed, none is missing.
+    let place = *open.last().filter(|_| !still_open(text).is_empty())?;
+    let ((_, number), (_, here)) = (line_at(text, place), line_at(text, at));
+    if number == here {
+        return None;
+    }
+    let bracket = &text[place..=place];
+    let close = if bracket == "{" { "}" } else { "]" };
+    let message = format!("the `{bracket}` of line {number} is not closed");
+    Some(Slip { bytes: place..place + 1, message, hint: format!("add `{close}` where it ends, before line {here}") })
+}
+
+/// The brackets of a text that are not closed in it.
+fn still_open(text: &str) -> Vec<usize> {
     let mut open = Vec::new();
     let mut quote = None;
     let mut before = '\n';
     let mut in_comment = false;
-    for (place, c) in text[..at].char_indices() {
+    for (place, c) in text.char_indices() {
         match (c, quote) {
             ('\n', _) => in_comment = false,
             _ if in_comment => {}
@@ -142,15 +158,7 @@ fn unclosed(text: &str, at: usize) -> Option<Slip> {
         }
         before = c;
     }
-    let place = open.pop()?;
-    let ((_, number), (_, here)) = (line_at(text, place), line_at(text, at));
-    if number == here {
-        return None;
-    }
-    let bracket = &text[place..=place];
-    let close = if bracket == "{" { "}" } else { "]" };
-    let message = format!("the `{bracket}` of line {number} is not closed");
-    Some(Slip { bytes: place..place + 1, message, hint: format!("add `{close}` where it ends, before line {here}") })
+    open
 }
 
 #[cfg(test)]

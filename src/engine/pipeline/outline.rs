@@ -15,7 +15,7 @@ pub fn slip(text: &str, at: usize) -> Option<Slip> {
         let after = start > at;
         start += line.len();
         let content = text[bytes.clone()].trim_start();
-        if content.is_empty() || content.starts_with('#') {
+        if content.is_empty() || content.starts_with('#') || ["---", "..."].contains(&content) {
             continue;
         }
         let found = outline.line(number, &bytes, after);
@@ -71,6 +71,11 @@ impl Outline<'_> {
         if only_tab {
             return None;
         }
+        if line[indent..].starts_with('-') && is_item_without_space(&line[indent..]) {
+            let place = bytes.start + indent;
+            let hint = format!("write `- {}`", line[indent + 1..].trim());
+            return Some(Slip { bytes: place..place + 1, message: "a space is missing after `-`".to_owned(), hint });
+        }
         let mut column = indent;
         while let Some(rest) = line[column..].strip_prefix('-').filter(|rest| rest.is_empty() || rest.starts_with(' '))
         {
@@ -78,6 +83,12 @@ impl Outline<'_> {
             column = line.len() - rest.trim_start().len();
         }
         let in_list = column > indent;
+        if in_list && without_marks(&line[column..]).is_empty() {
+            // What the item is begins in a line below, deeper than its dash.
+            self.former = Some(Line { number, column: indent, bytes: bytes.clone(), is_open: true });
+            self.scalar = None;
+            return None;
+        }
         let value = value_of(&line[column..]);
         let own =
             Line { number, column, bytes: bytes.start + column..bytes.end, is_open: value.is_some_and(str::is_empty) };
@@ -86,12 +97,16 @@ impl Outline<'_> {
             None if in_list => None,
             None => self.without_colon(&own),
         };
+        let is_bare_item = value.is_none() && in_list;
         if found.is_some() {
             return found;
         }
         if value.is_some() || in_list {
             self.former = Some(own.clone());
-            self.scalar = None;
+            self.scalar = is_bare_item.then(|| own.clone());
+        }
+        if is_bare_item {
+            self.levels.push(column);
         }
         let value = value.unwrap_or(&line[column..]);
         if value.starts_with(['|', '>']) {
@@ -128,12 +143,16 @@ impl Outline<'_> {
         }
         self.levels.retain(|level| *level <= own.column);
         let is_level = self.levels.last() == Some(&own.column);
-        (!is_level).then(|| crooked(own, &former, "keys of one map begin in one column"))
+        (!is_level && own.column != former.column).then(|| crooked(own, &former, "keys of one map begin in one column"))
     }
 
     /// A line that is neither a key nor in a list: a value, or the rest of one, where it is deeper than the key before it.
     fn without_colon(&mut self, own: &Line) -> Option<Slip> {
         match &self.former {
+            None => {
+                self.scalar = Some(own.clone());
+                None
+            }
             Some(former) if own.column > former.column => {
                 if former.is_open && self.scalar.is_none() {
                     self.scalar = Some(own.clone());
@@ -161,6 +180,13 @@ impl Outline<'_> {
         let hint = if value.is_empty() { format!("write `{name}:`") } else { format!("write `{name}: {value}`") };
         Some(Slip { bytes, message: format!("a colon is missing after `{name}`"), hint })
     }
+}
+
+/// Whether a line is `-x: 1` or `-{`, where a list begins or goes on.
+fn is_item_without_space(line: &str) -> bool {
+    let rest = &line[1..];
+    let is_named = rest.starts_with(|c: char| c.is_ascii_alphabetic()) && value_of(rest).is_some();
+    is_named || rest.starts_with(['{', '['])
 }
 
 fn crooked(own: &Line, former: &Line, hint: &str) -> Slip {
@@ -195,18 +221,23 @@ fn value_of(line: &str) -> Option<&str> {
     if line[..end].contains(" #") {
         return None;
     }
-    let mut value = line[end + 1..].trim_start();
+    Some(without_marks(&line[end + 1..]))
+}
+
+/// A value without the anchor and the tag before it, and without a comment in its place.
+fn without_marks(value: &str) -> &str {
+    let mut value = value.trim_start();
     while value.starts_with(['&', '!']) {
         value = value.find(' ').map_or("", |space| value[space..].trim_start());
     }
-    Some(if value.starts_with('#') { "" } else { value })
+    if value.starts_with('#') { "" } else { value }
 }
 
 /// Brackets and quotes that are open, over the ends of lines.
 #[derive(Default)]
 struct Flow {
-    /// Where the text since the last separator begins, for each bracket that is open.
-    brackets: Vec<usize>,
+    /// Where the text since the last separator begins, for each bracket that is open, and whether that is a brace.
+    brackets: Vec<(usize, bool)>,
     quote: Option<char>,
 }
 
@@ -218,24 +249,30 @@ impl Flow {
     /// Goes through a part of a line; a word before a quote or a bracket, without a colon between them, is a key whose colon is missing.
     fn enter(&mut self, text: &str, bytes: Range<usize>) -> Option<Slip> {
         let mut before = ' ';
-        for (place, c) in text[bytes.clone()].char_indices() {
+        let mut letters = text[bytes.clone()].char_indices().peekable();
+        while let Some((place, c)) = letters.next() {
             let at = bytes.start + place;
             match (c, self.quote) {
+                // What a backslash stands before, and two single quotes, end no text.
+                ('\\', Some('"')) => drop(letters.next()),
+                ('\'', Some('\'')) if letters.peek().is_some_and(|(_, next)| *next == '\'') => drop(letters.next()),
                 (_, Some(quote)) => self.quote = Some(quote).filter(|quote| *quote != c),
                 ('#', None) if before.is_whitespace() => return None,
                 ('"' | '\'' | '{' | '[', None) if self.brackets.is_empty() && place > 0 => return None,
                 ('"' | '\'' | '{' | '[', None) => {
-                    if let Some(slip) = self.brackets.last().and_then(|start| key_without_colon(text, *start, at)) {
+                    if let Some((start, true)) = self.brackets.last()
+                        && let Some(slip) = key_without_colon(text, *start, at)
+                    {
                         return Some(slip);
                     }
                     if matches!(c, '"' | '\'') {
                         self.quote = Some(c).filter(|_| !is_word(before));
                     } else {
-                        self.brackets.push(at + 1);
+                        self.brackets.push((at + 1, c == '{'));
                     }
                 }
                 ('}' | ']', None) => drop(self.brackets.pop()),
-                (',', None) => self.brackets.last_mut().into_iter().for_each(|start| *start = at + 1),
+                (',', None) => self.brackets.last_mut().into_iter().for_each(|(start, _)| *start = at + 1),
                 _ => {}
             }
             before = c;
@@ -248,6 +285,7 @@ impl Flow {
 fn key_without_colon(text: &str, start: usize, at: usize) -> Option<Slip> {
     let before = text[start..at].trim_start();
     let name = before.trim_end();
+    let name = name.strip_suffix('=').unwrap_or(name).trim_end();
     if name.len() == before.len() || name.is_empty() || !name.chars().all(is_word) {
         return None;
     }
@@ -305,6 +343,13 @@ mod tests {
             told(&format!("{HEAD}    stage: a\n    with\n      b: 1\n"), "with"),
             "a colon is missing after `with`"
         );
+        assert_eq!(told("rockface 1\nname: a\n", "name"), "a colon is missing after `rockface`");
+        let item = format!("{HEAD}    joints:\n      - dip_deg:70\n        direction_deg: 10\n");
+        assert_eq!(told(&item, "direction"), "a space is missing after the colon of `dip_deg`");
+        let dash = format!("{HEAD}    joints:\n      - a: 1\n      -dip_deg: 20\n        direction_deg: 10\n");
+        assert_eq!(told(&dash, "direction"), "a space is missing after `-`");
+        let equals = format!("{HEAD}    with: {{matching = {{noise: learnt}}}}\n    in: {{a: \"b\"}}\n");
+        assert_eq!(told(&equals, "in:"), "a colon is missing after `matching`");
         let flow = format!("{HEAD}    with: {{cell_m \"${{cell_m}}\", method: tin}}\n    in: {{a: \"b\"}}\n");
         assert_eq!(told(&flow, "in:"), "a colon is missing after `cell_m`");
     }
@@ -313,6 +358,10 @@ mod tests {
     fn what_is_in_its_place_is_left_alone() {
         let text = "rockface: 1\nparams:\n  a: {type: text, default: \"x: y\",\n   doc: it's so}\n  b: &b [1, 2] # c: d\n  t: |\n   free text\n     here\n\
                     axes:\n- a: 1\n  b: \"two\n lines: here\"\n-  - 3\n   - c: 1\nsteps:\n  face: &f\n    stage: word\n      goes on\n    'with': !t\n      x:\n        text\n      <<: *b\nend: 1\n";
+        let others = "---\na:\n  -\n   x: 1\n   y: 2\n  - &z\n    x: \"it \\\"is\n b: c\"\n    y: 'it''s\n d: e'\n  - [rock 'n' roll, b]\n  - plain\nend: 1\n";
+        for mark in ["x: 1", "y: 2", "&z", "b: c", "d: e", "roll", "plain", "end"] {
+            assert_eq!(told(others, mark), "", "{mark}");
+        }
         for mark in ["doc", "free", "axes", "lines", "steps", "stage", "goes", "x:", "end"] {
             assert_eq!(told(text, mark), "", "{mark}");
         }

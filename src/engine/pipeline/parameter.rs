@@ -31,7 +31,7 @@ pub fn as_number(text: &str) -> Option<String> {
 pub fn odd_space(name: &str) -> Option<String> {
     let space = name.chars().find(|letter| letter.is_whitespace() && !letter.is_ascii() || *letter == '\u{200b}')?;
     Some(format!(
-        "a no-break space (U+{:04X}) stands in it, as word processors write them: put a plain space in its place",
+        "a character that looks like a space or like nothing (U+{:04X}) stands in it, as word processors and web pages have them: write it anew",
         space as u32
     ))
 }

@@ -188,7 +188,8 @@ pub fn told(place: &Place, with: &Value, fault: &Fault) -> Diagnostic {
     let written = fault.path.last().map_or_else(String::new, Clone::clone);
     let given = if fault.at_key { written } else { value_at(with, &fault.path) };
     let is_digits = fault.at_key && !given.is_empty() && given.bytes().all(|byte| byte.is_ascii_digit());
-    let hint = if fault.at_key { odd_space(&given) } else { as_number(&given) };
+    let wants_number = fault.known.is_empty();
+    let hint = if fault.at_key { odd_space(&given) } else { as_number(&given).filter(|_| wants_number) };
     let fault = match hint {
         // `{cell_m: 0,05}` is read as `{cell_m: 0, 05: }`.
         _ if is_digits => {

@@ -16,7 +16,20 @@ use super::graph::{Dynamic, Graph, GraphStep};
 use super::points::too_many;
 use super::{Stages, parameters};
 use crate::diagnostic::{Diagnostic, Diagnostics, SHOWN, Source, Span, listed};
-use crate::pipeline::{Base, Copied, Document, Node, Pipeline, Reference, Step, Word, escape_hint, mentioned, parted};
+use crate::pipeline::{
+    Base, Copied, Document, Key, Node, Pipeline, Reference, Step, Word, escape_hint, filled, mentioned, parted,
+    value_of,
+};
+
+/// The parameters of a step with the values of the pipeline's parameters; what mentions an axis stays as it is written.
+fn with_values(with: &Node, values: &BTreeMap<String, Value>) -> Value {
+    let Some(entries) = with.entries() else { return with.to_value() };
+    let value = |(key, node): &(Key, Node)| {
+        let value = filled(node, &|name| value_of(values, name)).unwrap_or_else(|_| node.to_value());
+        (key.name.clone(), value)
+    };
+    Value::Object(entries.iter().map(value).collect())
+}
 
 /// Resolves a pipeline; `targets` on the command line take the place of the document's.
 ///
@@ -116,7 +129,8 @@ impl<'d> Resolver<'d> {
     }
 
     fn ports_of(&mut self, step: &Step, stage: &dyn AnyStage) -> Option<Ports> {
-        let with = step.with.as_ref().map_or(Value::Null, |with| with.to_value());
+        let values = &self.names.document.values;
+        let with = step.with.as_deref().map_or(Value::Null, |with| with_values(with, values));
         let place =
             parameters::Place { step: &step.name.text, stage, with: step.with.as_deref(), span: step.name.span };
         match stage.ports(&with) {

@@ -5,7 +5,7 @@ use serde_json::Value;
 use crate::shape::{self, Moved, Shape};
 use crate::{frame_change, rasterise, rasterise_points, window};
 use rockface_core::artefact::{Artefact, Frame, Grid, Kind, Raster, Transform};
-use rockface_core::params::{Fault, Range};
+use rockface_core::params::{Fault, Range, deciding};
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Ports, Stage, StageError, choice, fail, params};
 
 choice! {
@@ -75,7 +75,7 @@ impl Stage for RasteriseDem {
 
     fn ports(with: &Value) -> Result<Ports, Vec<Fault>> {
         const RASTER_ONLY: &[Port] = &[RASTER];
-        let counted = with.get("coverage").and_then(Value::as_bool) == Some(true);
+        let counted = deciding(with, "coverage")?.and_then(Value::as_bool) == Some(true);
         Ok(Ports { inputs: Self::INPUTS, outputs: if counted { Self::OUTPUTS } else { RASTER_ONLY } })
     }
 

@@ -2,7 +2,7 @@
 
 use crate::{frame_change, raster_surface};
 use rockface_core::artefact::{Artefact, Frame, Kind, Mesh, Meshes, Raster, Surface, Transform};
-use rockface_core::params::Fault;
+use rockface_core::params::{Fault, deciding};
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Ports, Stage, StageError, choice, fail, params};
 use serde_json::Value;
 
@@ -52,7 +52,7 @@ impl Stage for TriangulateSurface {
     const OUTPUTS: &'static [Port] = &[Port::one("mesh", &[Kind::Mesh], "The same points and triangles.")];
 
     fn ports(with: &Value) -> Result<Ports, Vec<Fault>> {
-        let named = with.get("bodies").and_then(Value::as_str) == Some("named");
+        let named = deciding(with, "bodies")?.and_then(Value::as_str) == Some("named");
         let (inputs, outputs) = if named { (OF_BODIES, NAMED) } else { (Self::INPUTS, Self::OUTPUTS) };
         Ok(Ports { inputs, outputs })
     }

@@ -8,7 +8,7 @@ use crate::detection::limit::{Combination, NORMAL_95};
 use crate::detection::tested::{Tested, Whole};
 use crate::detection::{clusters, raster, tested};
 use rockface_core::artefact::{Frame, Kind, Raster};
-use rockface_core::numerics::{marginal, quantile};
+use rockface_core::numerics::{marginal, portable_math, quantile};
 use rockface_core::params::Range;
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params, union};
 use rockface_raster::grid;
@@ -128,7 +128,7 @@ impl Stage for DetectRaster {
             | warn_of_offset(limit, &band.values, context)
             | warn_of_uneven_noise(&params.lod, difference, context);
         if !explained {
-            warn_of_heavy_tails(&lost, &limits, params.change, context);
+            warn_of_heavy_tails(&lost, &limits, params, context);
         }
         warn_of_single_cells(params, difference.grid.cell_m, context);
         let found = detect(params, difference, &lost, &limits, reference);
@@ -222,23 +222,28 @@ fn warn_of_offset(limit: f64, difference: &[f32], context: &Context) -> bool {
     is_off
 }
 
-/// Share of the cells beyond the limit on the side that is not looked for, from which on a warning is due: noise of a normal distribution has
-/// 2.5 % there at a limit of 95 %.
-const TAIL_SHARE: f64 = 0.04;
+/// How many times the share of cells that noise of a normal distribution has beyond the limit on one side a warning is due.
+const HEAVY: f64 = 1.6;
 
-/// Where nothing else explains it, many cells beyond the limit on the other side are noise with heavier tails than a normal distribution, or changes
-/// of the other kind.
-fn warn_of_heavy_tails(lost: &[f64], limits: &[f32], change: Change, context: &Context) {
+/// Where nothing else explains it, more cells beyond the limit on both sides than normally distributed noise has there are noise with heavier tails. Changes
+/// are on one side, and noise that is alike over many cells is by chance on one side too.
+fn warn_of_heavy_tails(lost: &[f64], limits: &[f32], params: &DetectRasterParams, context: &Context) {
+    let factor = if let Limit::Empirical(EmpiricalLimit { factor }) = params.lod { factor } else { NORMAL_95 };
+    let expected = 0.5 * portable_math::erfc(factor / std::f64::consts::SQRT_2);
     let known = || lost.iter().zip(limits).filter(|(lost, limit)| !lost.is_nan() && !limit.is_nan());
-    let beyond = known().filter(|(lost, limit)| **lost < -f64::from(**limit)).count();
-    let share = beyond as f64 / known().count().max(1) as f64;
-    if share > TAIL_SHARE {
-        let other = if change == Change::Loss { Change::Gain } else { Change::Loss };
+    let share = |sign: f64| {
+        let beyond = known().filter(|(lost, limit)| sign * **lost > f64::from(**limit)).count();
+        beyond as f64 / known().count().max(1) as f64
+    };
+    let [wanted, other] = [share(1.0), share(-1.0)];
+    if wanted.min(other) > HEAVY * expected {
+        let change = params.change;
+        let word = if change == Change::Loss { Change::Gain } else { Change::Loss }.word();
         context.warn(format!(
-            "{:.1} % of the cells are beyond the limit of detection as a {}, where normally distributed noise has 2.5 %: noise with heavier tails is as often \
+            "{:.1} % of the cells are beyond the limit of detection as a {word}, where normally distributed noise has {:.1} %: noise with heavier tails is as often \
              beyond it as a {}; raise the limit (`factor` or `lod_m`) or `min_area_m2`, unless there are changes of both kinds",
-            100.0 * share,
-            other.word(),
+            100.0 * other,
+            100.0 * expected,
             change.word()
         ));
     }

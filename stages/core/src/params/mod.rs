@@ -158,6 +158,21 @@ impl Fault {
     }
 }
 
+/// The value of a parameter that decides which ports a stage has, as the pipeline writes it; `None` where it is left out.
+///
+/// # Errors
+/// The parameter differs between the items of an axis, as `${axis}` says: one step has one set of ports.
+pub fn deciding<'a>(with: &'a Value, name: &str) -> Result<Option<&'a Value>, Vec<Fault>> {
+    let value = with.get(name);
+    match value.and_then(Value::as_str) {
+        Some(text) if text.contains("${") => {
+            let message = "it decides the inputs and outputs of the step, so it cannot differ between items: write a step for each";
+            Err(vec![Fault::new(message).below(name)])
+        }
+        _ => Ok(value),
+    }
+}
+
 /// A type that a parameter can have.
 pub trait ParamType: Sized {
     /// The shape that the catalogue and the JSON Schema show.

@@ -61,6 +61,11 @@ impl MapProjection {
         Ok(Self { plane, ellipsoid: Ellipsoid { a, e2 } })
     }
 
+    /// Whether its ellipsoid is that of WGS 84 or GRS 80, which differ by a tenth of a millimetre.
+    pub fn has_figure_of_wgs_84(&self) -> bool {
+        (self.ellipsoid.a - Ellipsoid::WGS_84.a).abs() < 1.0
+    }
+
     /// The place of geocentric coordinates in the datum of the system; `None` where the map does not reach.
     pub fn place(&self, geocentric_m: [f64; 3]) -> Option<OnMap> {
         let [lon, lat, height_m] = self.ellipsoid.geodetic(geocentric_m);

@@ -7,7 +7,7 @@ use serde_json::Value;
 use crate::fusion::colmap_workspace;
 use crate::fusion::colmap_workspace::Workspace;
 use rockface_core::artefact::{Depth, Kind};
-use rockface_core::params::{Fault, Range};
+use rockface_core::params::{Fault, Range, deciding};
 use rockface_core::program::ProgramResult;
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Ports, Stage, StageError, choice, fail, params};
 
@@ -83,7 +83,7 @@ impl Stage for FuseColmap {
 
     fn ports(with: &Value) -> Result<Ports, Vec<Fault>> {
         const CLOUD_ONLY: &[Port] = &[CLOUD];
-        let meshed = with.get("poisson").is_some_and(|poisson| !poisson.is_null());
+        let meshed = deciding(with, "poisson")?.is_some_and(|poisson| !poisson.is_null());
         Ok(Ports { inputs: Self::INPUTS, outputs: if meshed { Self::OUTPUTS } else { CLOUD_ONLY } })
     }
 

@@ -89,6 +89,8 @@ params! {
     }
 }
 
+/// How far behind the mesh a control point may be and still be seen, metres.
+const BEHIND_M: f64 = 0.5;
 /// Control points that a warning names at most.
 const NAMED: usize = 10;
 /// Points for the mean effect on a pair.
@@ -311,18 +313,25 @@ fn measured(
     frame: Frame,
     context: &Context,
 ) -> Result<Vec<ObjectPoint>, StageError> {
+    if surveyed.is_empty() {
+        fail!("`control` has no rows");
+    }
     let (mut points, mut left_out) = (Vec::new(), Vec::new());
+    let mut hidden = 0;
     for Surveyed { name, position_m, weight } in surveyed {
-        let images = visibility.images(position_m);
+        let images = visibility.images_near(position_m, BEHIND_M);
         if images.len() < 2 {
-            left_out.push(name.as_str());
+            left_out.push(if name.is_empty() { "(no name)" } else { name.as_str() });
+            hidden += usize::from(visibility.images_near(position_m, f64::INFINITY).len() >= 2);
             continue;
         }
         points.push(ObjectPoint { position_m: *position_m, images, sigma_px, control_weight: Some(*weight) });
     }
     if points.is_empty() {
         let message = format!("none of the {} points of `control` is seen by two images", surveyed.len());
-        let hint = if frame == Frame::Wall {
+        let hint = if hidden > 0 {
+            "they project into the images and are behind the mesh by more than half a metre: their frame, or the mesh, is another"
+        } else if frame == Frame::Wall {
             "they have to be in the wall frame, as the cameras are: points in map coordinates need `transform` of `transform-crs` here"
         } else {
             "they have to be in the frame of the cameras, in metres"
@@ -333,7 +342,8 @@ fn measured(
         let (count, names) = (left_out.len(), left_out.iter().take(NAMED).copied().collect::<Vec<_>>().join(", "));
         let more = if count > NAMED { ", ..." } else { "" };
         context.warn(format!(
-            "{count} points of `control` are left out, as fewer than two images see them: {names}{more}"
+            "left out of `control`, as fewer than two images see them ({hidden} behind the mesh, {} outside of the images): {names}{more}",
+            count - hidden
         ));
     }
     Ok(points)

@@ -19,6 +19,8 @@ use rockface_raster::window;
 
 /// Points for the figures of a pair.
 const SAMPLES: usize = 2000;
+/// Fewer vertices than these do not stand for a part of the face.
+const FEW: usize = 200;
 /// Points for the mean effect of orientation errors.
 const EFFECT_POINTS: usize = 120;
 /// Quantile of the normal distribution: 95 % lie within.
@@ -97,9 +99,19 @@ impl Stage for ForecastPrecision {
         if let Some(difference) = difference.filter(|difference| difference.frame != mesh.frame) {
             fail!("the difference is in the {} frame, the mesh in the {} frame", difference.frame, mesh.frame);
         }
-        let points = sample_vertices_where(mesh, SAMPLES, &|x, y| in_window(params.window_m, x, y));
+        let points = places(mesh, params.window_m, &|x, y| in_window(params.window_m, x, y))?;
         if points.is_empty() {
             fail!("no part of the face lies in `window_m`");
+        }
+        let compared_at = difference.map(|difference| {
+            let grid = &difference.grid;
+            let [right, bottom] = [grid.columns, grid.rows].map(|cells| cells as f64 * grid.cell_m);
+            let within = [grid.left_m, grid.left_m + right, grid.top_m - bottom, grid.top_m];
+            places(mesh, Some(within), &|x, y| has_value(difference, x, y))
+        });
+        let compared_at = compared_at.transpose()?;
+        if compared_at.as_ref().is_some_and(Vec::is_empty) {
+            fail!("no part of the face lies where the difference has values");
         }
         let survey = Survey::new(params, cameras, joint);
         let visibility = Visibility::new(cameras, mesh);
@@ -120,10 +132,7 @@ impl Stage for ForecastPrecision {
         };
         let all = over(&points).ok_or_else(|| StageError::new("no part of the face lies in two images"))?;
         rows.push(all.row("all images".to_owned(), None, None));
-        let compared = difference.map(|difference| {
-            let places = sample_vertices_where(mesh, SAMPLES, &|x, y| has_value(difference, x, y));
-            over(&places).zip(simulated(difference))
-        });
+        let compared = difference.zip(compared_at).map(|(difference, places)| over(&places).zip(simulated(difference)));
         let compared = match compared {
             Some(None) => fail!("the difference has no values where two images see the face"),
             other => other.flatten(),
@@ -322,6 +331,32 @@ impl Forecast {
             simulated_to_forecast: simulated.map(|[std, _]| std / (std::f64::consts::SQRT_2 * sigma)),
         }
     }
+}
+
+/// Places of the face that are wanted within bounds (left, right, bottom, top), metres: vertices, or, where these are few, points of the triangles
+/// on a grid.
+fn places(
+    mesh: &Mesh,
+    within: Option<[f64; 4]>,
+    wanted: &dyn Fn(f64, f64) -> bool,
+) -> Result<Vec<Vector3<f64>>, StageError> {
+    let vertices = sample_vertices_where(mesh, SAMPLES, wanted);
+    let Some([left, right, bottom, top]) = within.filter(|_| vertices.len() < FEW) else { return Ok(vertices) };
+    let used = mesh.surface_vertices();
+    let shape = Shape::Mesh(mesh).on_surface(used.as_deref());
+    let Some(whole) = extent(shape, None) else { return Ok(vertices) };
+    let bounds = [whole[0].max(left), whole[1].min(right), whole[2].max(bottom), whole[3].min(top)];
+    let area_m2 = (bounds[1] - bounds[0]) * (bounds[3] - bounds[2]);
+    if !(bounds[0] < bounds[1] && bounds[2] < bounds[3]) {
+        return Ok(vertices);
+    }
+    let grid = grid_around(bounds, (area_m2 / SAMPLES as f64).sqrt())?;
+    let z = tin(shape, None, &grid);
+    let place = |(cell, z): (usize, &f32)| {
+        let (x, y) = grid.centre(cell / grid.columns, cell % grid.columns);
+        (z.is_finite() && wanted(x, y)).then(|| Vector3::new(x, y, f64::from(*z)))
+    };
+    Ok(z.iter().enumerate().filter_map(place).collect())
 }
 
 /// Whether a place is in a window (left, right, bottom, top), metres; everywhere without one.

@@ -5,7 +5,7 @@ use serde_json::Value;
 use crate::face::mesh_cleaning;
 use crate::face::mesh_cleaning::Mended;
 use rockface_core::artefact::{Frame, Kind, Mesh, Raster, Surface};
-use rockface_core::params::{Fault, Range};
+use rockface_core::params::{Fault, Range, deciding};
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Ports, Stage, StageError, choice, fail, params};
 use rockface_raster::surface_cleaning::{Removed, Rules, clean};
 use rockface_raster::window;
@@ -55,7 +55,7 @@ impl Stage for CleanMesh {
         &[Port::one("surface", &[Kind::Surface], "The cleaned surface, on the same grid.")];
 
     fn ports(with: &Value) -> Result<Ports, Vec<Fault>> {
-        let of_mesh = with.get("of").and_then(Value::as_str) == Some("mesh");
+        let of_mesh = deciding(with, "of")?.and_then(Value::as_str) == Some("mesh");
         let (inputs, outputs) = if of_mesh { (MESH, CLEANED) } else { (Self::INPUTS, Self::OUTPUTS) };
         Ok(Ports { inputs, outputs })
     }

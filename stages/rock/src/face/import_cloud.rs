@@ -134,15 +134,15 @@ impl Stage for ImportCloud {
     }
 }
 
-/// Says which points were left out for what the file marks them as.
-///
-/// # Errors
-/// Classes are listed and the file has none, or no point is of them.
 /// The classes to keep; `None` for all but noise.
 fn listed_classes(params: &ImportCloudParams) -> Option<&[u32]> {
     params.classes.as_deref().filter(|listed| !listed.is_empty())
 }
 
+/// Says which points were left out for what the file marks them as.
+///
+/// # Errors
+/// Classes are listed and the file has none, or no point is of them.
 fn check_classes(cloud: &Cloud, params: &ImportCloudParams, context: &Context) -> Result<(), StageError> {
     let (path, listed) = (&params.path.0, listed_classes(params));
     if listed.is_some() && cloud.classes.is_empty() {

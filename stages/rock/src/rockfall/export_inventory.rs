@@ -3,7 +3,7 @@
 use rockface_core::artefact::{Cell, Feature, File, Frame, Inventory, Kind, Polygon, Transform};
 use rockface_core::crs::{Crs, CrsName, Degrees};
 use rockface_core::format::inventory_file;
-use rockface_core::params::Fault;
+use rockface_core::params::{Fault, deciding};
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Ports, Stage, StageError, choice, fail, params};
 use serde_json::{Value, json};
 
@@ -75,7 +75,7 @@ impl Stage for ExportInventory {
 
     fn ports(with: &Value) -> Result<Ports, Vec<Fault>> {
         const AS_GEOJSON: &[Port] = &[GEOJSON];
-        let is_geojson = with.get("format").and_then(Value::as_str) == Some("geojson");
+        let is_geojson = deciding(with, "format")?.and_then(Value::as_str) == Some("geojson");
         Ok(Ports { inputs: Self::INPUTS, outputs: if is_geojson { AS_GEOJSON } else { Self::OUTPUTS } })
     }
 

@@ -155,7 +155,7 @@ fn an_offset_and_uneven_noise_are_warned_of() {
         two.len() == 1 && two[0].contains(" % of the cells are beyond the limit of detection as a gain"),
         "{two:?}"
     );
-    assert_eq!(warnings(noisy([0.004, 0.008], 0.0), &json!({"empirical": {"factor": 2.5}})), Vec::<String>::new());
+    assert_eq!(warnings(noisy([0.004, 0.008], 0.0), &json!({"empirical": {"factor": 1.0}})), Vec::<String>::new());
     let off = warnings(noisy([0.004, 0.004], -0.012), &lod);
     assert!(off.len() == 1 && off[0].contains("above -12.") && off[0].contains("register-icp"), "{off:?}");
     let uneven = warnings(noisy([0.001, 0.008], 0.0), &lod);

@@ -138,7 +138,8 @@ fn name_apart(cameras: &mut [CameraEntry]) -> Option<String> {
         let is_free = |name: &String| name == label || !taken.contains(name);
         let tells_apart =
             twice(by_group.iter().map(String::as_str).collect()).is_none() && by_group.iter().all(is_free);
-        let names = if tells_apart { by_group } else { places.iter().map(with_id).collect() };
+        let names =
+            if tells_apart { by_group } else { places.iter().map(|place| free(with_id(place), &taken)).collect() };
         renamed.push(format!("`{label}` ({})", names.join(", ")));
         taken.extend(names.iter().cloned());
         for (place, name) in places.iter().zip(names) {
@@ -151,6 +152,14 @@ fn name_apart(cameras: &mut [CameraEntry]) -> Option<String> {
         "several images have one label, {first}{others}: they are named by their group, else by their id, to have names of their own; to choose the names, \
          rename the photos in Metashape (Photos pane, Rename) and export the cameras again"
     ))
+}
+
+/// A name that no image has, with further marks at its end where it needs them.
+fn free(mut name: String, taken: &HashSet<String>) -> String {
+    while taken.contains(&name) {
+        name.push('#');
+    }
+    name
 }
 
 /// Says what a rolling shutter that Metashape adjusted is here: nothing.

@@ -109,7 +109,7 @@ fn to_map(
     if let Some(covariance) = &mut file.covariance {
         covariance.frame = file.cameras.frame;
     }
-    report(file, reference, (&crs, &at), params, context);
+    report(file, reference, (&crs, &at, map.has_figure_of_wgs_84()), params, context);
     Ok(())
 }
 
@@ -148,7 +148,8 @@ fn wanted(
         );
         return Err(StageError::new(text).hint(format!(
             "give the system without heights, `crs: {}`; or, with heights, what brings those above the ellipsoid to them as the third number of \
-             `offset_m` (minus the undulation of the geoid)",
+             `offset_m` (minus the undulation of the geoid above the ellipsoid of {})",
+            crs.horizontal().as_str(),
             crs.horizontal().as_str()
         )));
     }
@@ -203,7 +204,7 @@ fn far(first: [f64; 3]) -> String {
 fn report(
     file: &CameraFile,
     reference: &Stated,
-    (crs, at): (&Crs, &AtBlock),
+    (crs, at, is_modern): (&Crs, &AtBlock, bool),
     params: &ImportCamerasParams,
     context: &Context,
 ) {
@@ -216,11 +217,20 @@ fn report(
         at.convergence_deg.abs()
     ));
     if params.offset_m[2].abs() <= 0.0 {
-        context.warn(format!(
-            "heights of the centres of `{}` are above the ellipsoid, as Metashape has them: they fit a model exported in {crs} without a geoid; one with heights above the \
-             sea is some tens of metres off, unless minus the undulation of the geoid is the third number of `offset_m`",
-            params.path.0
-        ));
+        let path = &params.path.0;
+        let fit = format!("they fit a model exported in {crs} without a geoid");
+        context.warn(if is_modern {
+            format!(
+                "heights of the centres of `{path}` are above the ellipsoid, as Metashape has them: {fit}; one with heights above the sea is some tens of metres off, \
+                 unless minus the undulation of the geoid is the third number of `offset_m`"
+            )
+        } else {
+            // The older ellipsoids were laid along the sea of their countries.
+            format!(
+                "heights of the centres of `{path}` are above the ellipsoid of {crs}, not that of WGS 84: {fit}; heights above the sea are often within some metres of \
+                 them, and the third number of `offset_m` brings one to the other (minus the undulation of the geoid above that ellipsoid)"
+            )
+        });
     }
     let [least, greatest] = at.scales;
     let worst = if (least - 1.0).abs() > (greatest - 1.0).abs() { least } else { greatest };

@@ -43,7 +43,12 @@ impl Visibility {
 
     /// The images that see a point of the face, in block order.
     pub fn images(&self, point: &Vector3<f64>) -> Vec<usize> {
-        (0..self.views.len()).filter(|image| self.sees(*image, point)).collect()
+        self.images_near(point, 0.0)
+    }
+
+    /// The images that see a point which may be so far behind the face, metres: a mesh is smoother than the rock that a target is fixed to.
+    pub fn images_near(&self, point: &Vector3<f64>, behind_m: f64) -> Vec<usize> {
+        (0..self.views.len()).filter(|image| self.sees(*image, point, behind_m)).collect()
     }
 
     /// Whether an image shows only the back of the face.
@@ -51,7 +56,7 @@ impl Visibility {
         self.views[image].is_none()
     }
 
-    fn sees(&self, image: usize, point: &Vector3<f64>) -> bool {
+    fn sees(&self, image: usize, point: &Vector3<f64>, behind_m: f64) -> bool {
         let Some((camera, buffer, scale)) = &self.views[image] else { return false };
         let local = camera.to_camera(point);
         let Some(pixel) = camera.project_from_camera(&local).filter(|pixel| camera.inside(*pixel, 0.0)) else {
@@ -61,7 +66,7 @@ impl Visibility {
         let (column, row) = (column.min(buffer.width.saturating_sub(1)), row.min(buffer.height.saturating_sub(1)));
         let z = buffer.z_m.get(row * buffer.width + column).copied().unwrap_or(f64::INFINITY);
         // A coarse pixel without depth lies at the edge of the face: the point is visible.
-        !z.is_finite() || local.z <= z * (1.0 + TOLERANCE)
+        !z.is_finite() || local.z <= z * (1.0 + TOLERANCE) + behind_m
     }
 }
 

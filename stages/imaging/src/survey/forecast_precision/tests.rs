@@ -140,11 +140,15 @@ fn a_difference_of_a_part_is_held_against_the_forecast_of_that_part() {
     let (cut, raster) = forecast(&host, &window, block(), &[]).unwrap();
     assert!((cell(&cut, cut.rows.len() - 1, "sigma_z_m").unwrap() / sigma(there) - 1.0).abs() < 0.05);
     assert!(raster.grid.columns <= 5 && raster.grid.rows <= 9, "{:?}", raster.grid);
+    // Between the vertices of a coarse mesh too.
+    let coarse = height_mesh(2, [-9.0, 9.0, -2.0, 2.0], |_, _| 0.0);
+    let (cut, _) = forecast(&host, &window, (block().0, coarse), &[]).unwrap();
+    assert!((cell(&cut, cut.rows.len() - 1, "sigma_z_m").unwrap() / sigma(there) - 1.0).abs() < 0.05);
     let error = forecast(&host, &json!({"window_m": [40, 50, -1, 1]}), block(), &[]).unwrap_err();
     assert!(error.message.contains("window_m"), "{error}");
     let elsewhere = Raster { grid: Grid { left_m: 40.0, ..grid }, ..difference };
     let error = forecast(&host, &json!({}), block(), &[("difference", Artefact::Raster(elsewhere))]).unwrap_err();
-    assert!(error.message.contains("no values where two images"), "{error}");
+    assert!(error.message.contains("where the difference has values"), "{error}");
 }
 
 #[test]

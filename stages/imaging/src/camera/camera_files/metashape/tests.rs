@@ -195,5 +195,7 @@ fn images_of_one_label_are_named_apart_and_come_back_from_a_file_of_ours() {
     // The name with the group is that of another image already.
     let (found, _) = names(&[camera("two", 0, "a"), camera("", 1, "a"), camera("", 2, "two_a")]);
     assert_eq!(found, ["a#0", "a#1", "two_a"]);
+    let (found, _) = names(&[camera("", 0, "a"), camera("", 1, "a"), camera("", 2, "a#0")]);
+    assert_eq!(found, ["a#0#", "a#1", "a#0"]);
     assert_eq!(names(&[camera("x", 0, "a"), camera("y", 1, "b")]), (vec!["a".to_owned(), "b".to_owned()], Vec::new()));
 }

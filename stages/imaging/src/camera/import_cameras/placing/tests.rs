@@ -144,7 +144,12 @@ fn centres_are_shifted_to_an_older_datum() {
         let scale = 1.0 + host.metric("map_scale_minus_1").unwrap();
         let same_shape = off_px(&cameras, &chunk, scale);
         assert!(same_shape.iter().all(|px| *px < 0.02), "{code}: {same_shape:?}");
-        assert!(host.warnings().iter().any(|text| text.contains("exact for CH1903+")), "{:?}", host.warnings());
+        let warns = |what: &str| host.warnings().iter().any(|text| text.contains(what));
+        assert!(
+            warns("exact for CH1903+") && warns(&format!("above the ellipsoid of {code}")),
+            "{:?}",
+            host.warnings()
+        );
     }
 }
 
