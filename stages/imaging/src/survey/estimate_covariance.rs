@@ -328,7 +328,7 @@ fn measured(
         points.push(ObjectPoint { position_m: *position_m, images, sigma_px, control_weight: Some(*weight) });
     }
     if points.is_empty() {
-        let message = format!("none of the {} points of `control` is seen by two images", surveyed.len());
+        let message = format!("no point of `control`, of {} in it, is seen by two images", surveyed.len());
         let hint = if hidden > 0 {
             "they project into the images and are behind the mesh by more than half a metre: their frame, or the mesh, is another"
         } else if frame == Frame::Wall {
