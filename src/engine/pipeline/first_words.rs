@@ -22,7 +22,10 @@ pub fn slip(text: &str, at: usize, reason: &str) -> Option<Slip> {
     of_escape
         .then(|| escape(text, at))
         .flatten()
-        .or_else(|| tab(text, at))
+        .or_else(|| {
+            let (line, number) = line_at(text, at);
+            tab(text, &line, number)
+        })
         .or_else(|| pick(text, at))
         .or_else(|| reason.contains("misplaced bracket").then(|| surplus(text, at)).flatten())
         .or_else(|| reason.contains("flow").then(|| missing_colon(text, at).or_else(|| unclosed(text, at))).flatten())
@@ -36,10 +39,11 @@ fn line_at(text: &str, at: usize) -> (Range<usize>, usize) {
     (start..end, text[..start].matches('\n').count() + 1)
 }
 
-fn tab(text: &str, at: usize) -> Option<Slip> {
-    let (line, number) = line_at(text, at);
-    let indent = text[line.clone()].len() - text[line.clone()].trim_start_matches([' ', '\t']).len();
-    let place = line.start + text[line.start..line.start + indent].find('\t')?;
+/// A tab in front of what a line begins with.
+pub fn tab(text: &str, line: &Range<usize>, number: usize) -> Option<Slip> {
+    let own = &text[line.clone()];
+    let indent = own.len() - own.trim_start_matches([' ', '\t']).len();
+    let place = line.start + own[..indent].find('\t')?;
     let message = format!("line {number} is indented with a tab, and YAML takes spaces only");
     Some(Slip { bytes: place..place + 1, message, hint: "put two spaces in place of each tab".to_owned() })
 }

@@ -3,7 +3,7 @@
 
 use std::ops::Range;
 
-use super::first_words::Slip;
+use super::first_words::{Slip, tab};
 
 /// The first slip in the lines up to the one at byte `at`, or a tab in the line after it.
 pub fn slip(text: &str, at: usize) -> Option<Slip> {
@@ -62,11 +62,8 @@ impl Outline<'_> {
             return None;
         }
         self.block = None;
-        if let Some(tab) = line[..indent].find('\t') {
-            let place = bytes.start + tab;
-            let message = format!("line {number} is indented with a tab, and YAML takes spaces only");
-            let hint = "put two spaces in place of each tab".to_owned();
-            return Some(Slip { bytes: place..place + 1, message, hint });
+        if let Some(tab) = tab(self.text, bytes, number) {
+            return Some(tab);
         }
         if only_tab {
             return None;
@@ -97,16 +94,16 @@ impl Outline<'_> {
             None if in_list => None,
             None => self.without_colon(&own),
         };
-        let is_bare_item = value.is_none() && in_list;
         if found.is_some() {
             return found;
         }
-        if value.is_some() || in_list {
-            self.former = Some(own.clone());
-            self.scalar = is_bare_item.then(|| own.clone());
-        }
-        if is_bare_item {
-            self.levels.push(column);
+        match value {
+            Some(_) => (self.former, self.scalar) = (Some(own), None),
+            None if in_list => {
+                self.levels.push(column);
+                (self.former, self.scalar) = (Some(own.clone()), Some(own));
+            }
+            None => {}
         }
         let value = value.unwrap_or(&line[column..]);
         if value.starts_with(['|', '>']) {

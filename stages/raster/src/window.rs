@@ -19,6 +19,13 @@ pub fn faults(window_m: Option<[f64; 4]>) -> Vec<Fault> {
     }
 }
 
+/// The part of an extent (left, right, bottom, top), metres, that lies in a window; all of it without one. Where they do not meet, an end is before
+/// its beginning.
+pub fn clipped([left, right, bottom, top]: [f64; 4], window_m: Option<[f64; 4]>) -> [f64; 4] {
+    let within = |[a, b, c, d]: [f64; 4]| [left.max(a), right.min(b), bottom.max(c), top.min(d)];
+    window_m.map_or([left, right, bottom, top], within)
+}
+
 /// About how many cells a window holds, for an estimate of memory; at most a number no memory has room for.
 pub fn cells([left, right, bottom, top]: [f64; 4], cell_m: f64) -> u64 {
     const NO_ROOM: f64 = 1e15;

@@ -25,6 +25,16 @@ pub enum Palette {
 pub const CONFUSION: [(&str, Colour); 4] =
     [("neither", [244, 244, 244]), ("found", [0, 119, 187]), ("false", [238, 119, 51]), ("missed", [204, 51, 17])];
 
+/// Whether the values of a quantity are numbers of [`CONFUSION`].
+pub fn is_confusion(quantity: &str) -> bool {
+    quantity == "confusion"
+}
+
+/// The number of a class; NaN for what is beyond the classes.
+pub fn class(value: f32) -> f32 {
+    if value < CONFUSION.len() as f32 { value } else { f32::NAN }
+}
+
 /// A palette over a range of values.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ColourScale {
@@ -37,6 +47,9 @@ pub struct ColourScale {
 }
 
 impl ColourScale {
+    /// That of the classes of a confusion.
+    pub const CLASSES: Self = Self { palette: Palette::Confusion, low: 0.0, high: CONFUSION.len() as f64 - 1.0 };
+
     /// The colour of a value; values outside the range take its ends.
     pub fn colour(&self, value: f64) -> Colour {
         if value.is_nan() {

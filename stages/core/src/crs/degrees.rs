@@ -80,8 +80,7 @@ impl Degrees {
     pub fn at(&self, [easting_m, northing_m, height_m]: [f64; 3]) -> Option<[f64; 2]> {
         let [lon, lat] = self.plane.place([easting_m, northing_m])?;
         let [lon, lat] = self.shift.map_or([lon, lat], |shift| {
-            let [a, e2] = self.plane.ellipsoid();
-            let there = shift.to_wgs_84(Ellipsoid { a, e2 }.geocentric([lon, lat, height_m]));
+            let there = shift.to_wgs_84(self.plane.ellipsoid().geocentric([lon, lat, height_m]));
             let [lon, lat, _] = Ellipsoid::WGS_84.geodetic(there);
             [lon, lat]
         });

@@ -2,7 +2,7 @@
 
 use super::scale::Map;
 use super::wkt::Node;
-use super::{Crs, Scale, parts, signature};
+use super::{Crs, Ellipsoid, Scale, parts, signature};
 
 /// A projected system whose places can be computed, both ways: angles in radians, lengths in metres.
 ///
@@ -45,9 +45,9 @@ impl Plane {
         datum.map_or("", Node::name)
     }
 
-    /// Half axis of its ellipsoid, metres, and the square of its eccentricity.
-    pub fn ellipsoid(&self) -> [f64; 2] {
-        [self.map.a, self.map.e2]
+    /// Its ellipsoid.
+    pub fn ellipsoid(&self) -> Ellipsoid {
+        Ellipsoid { a: self.map.a, e2: self.map.e2 }
     }
 
     /// Longitude from Greenwich and latitude of an easting and a northing, to a millimetre; `None` where the map does not reach.

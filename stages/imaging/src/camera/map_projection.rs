@@ -57,8 +57,7 @@ impl MapProjection {
     /// The name of a projection that is not computed, see [`Plane::COMPUTED`].
     pub fn of(crs: &Crs) -> Result<Self, String> {
         let plane = Plane::of(crs)?;
-        let [a, e2] = plane.ellipsoid();
-        Ok(Self { plane, ellipsoid: Ellipsoid { a, e2 } })
+        Ok(Self { ellipsoid: plane.ellipsoid(), plane })
     }
 
     /// Whether its ellipsoid is that of WGS 84 or GRS 80, which differ by a tenth of a millimetre.

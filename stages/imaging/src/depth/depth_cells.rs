@@ -10,6 +10,7 @@ use rockface_core::StageError;
 use rockface_core::artefact::{Depth, Grid};
 use rockface_core::numerics::simd::{LANES, Lanes, Number, Work, vectorised};
 use rockface_raster::rasterise::grid_around;
+use rockface_raster::window::clipped;
 
 /// Rows whose points are found in parallel before they are added in order.
 const BATCH_ROWS: usize = 64;
@@ -85,7 +86,7 @@ pub fn reduce(
     window_m: Option<[f64; 4]>,
 ) -> Result<Option<Cells>, StageError> {
     let camera = Camera::of_depth(depth);
-    let Some(reach) = reach(depth, &camera).map(|reach| clip(reach, window_m)) else { return Ok(None) };
+    let Some(reach) = reach(depth, &camera).map(|reach| clipped(reach, window_m)) else { return Ok(None) };
     if reach[0] >= reach[1] || reach[2] >= reach[3] {
         return Ok(None);
     }
@@ -229,10 +230,6 @@ fn reach(depth: &Depth, camera: &Camera) -> Option<[f64; 4]> {
         }
     }
     (low <= high).then_some(reach)
-}
-
-fn clip([x0, x1, y0, y1]: [f64; 4], window_m: Option<[f64; 4]>) -> [f64; 4] {
-    window_m.map_or([x0, x1, y0, y1], |[a, b, c, d]| [x0.max(a), x1.min(b), y0.max(c), y1.min(d)])
 }
 
 /// The part of a grid that has values.

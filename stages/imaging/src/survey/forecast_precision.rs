@@ -262,10 +262,7 @@ impl<'a> Survey<'a> {
         let vertices = mesh.surface_vertices();
         let shape = Shape::Mesh(mesh).on_surface(vertices.as_deref());
         let Some(whole) = extent(shape, None) else { fail!("the mesh has no vertices") };
-        let extent = params.window_m.map_or(whole, |window_m| {
-            let [left, right, bottom, top] = window_m;
-            [whole[0].max(left), whole[1].min(right), whole[2].max(bottom), whole[3].min(top)]
-        });
+        let extent = window::clipped(whole, params.window_m);
         let grid = grid_around(extent, params.map_cell_m).map_err(|e| e.hint("choose a larger `map_cell_m`"))?;
         let z = tin(shape, None, &grid);
         let names = ["images", "gsd_m", "sigma_z_m", "lod95_m"];
@@ -341,11 +338,13 @@ fn places(
     wanted: &dyn Fn(f64, f64) -> bool,
 ) -> Result<Vec<Vector3<f64>>, StageError> {
     let vertices = sample_vertices_where(mesh, SAMPLES, wanted);
-    let Some([left, right, bottom, top]) = within.filter(|_| vertices.len() < FEW) else { return Ok(vertices) };
+    if within.is_none() || vertices.len() >= FEW {
+        return Ok(vertices);
+    }
     let used = mesh.surface_vertices();
     let shape = Shape::Mesh(mesh).on_surface(used.as_deref());
     let Some(whole) = extent(shape, None) else { return Ok(vertices) };
-    let bounds = [whole[0].max(left), whole[1].min(right), whole[2].max(bottom), whole[3].min(top)];
+    let bounds = window::clipped(whole, within);
     let area_m2 = (bounds[1] - bounds[0]) * (bounds[3] - bounds[2]);
     if !(bounds[0] < bounds[1] && bounds[2] < bounds[3]) {
         return Ok(vertices);

@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 
-use crate::figure::colour_scale::{CONFUSION, ColourScale, Palette, length};
+use crate::figure::colour_scale::{ColourScale, Palette, class, is_confusion, length};
 use rockface_core::StageError;
 use rockface_core::artefact::{Depth, Grid, Raster};
 use rockface_core::numerics::quantile::nearest_rank;
@@ -14,9 +14,6 @@ use super::Subject;
 const TAILS: f64 = 0.005;
 /// Share of the absolute differences within the colours.
 const DIFFERENCES: f64 = 0.98;
-
-/// The quantity whose values are numbers of classes, and no value from the number of classes on.
-const CLASSES: &str = "confusion";
 
 /// A grid of values and what they are.
 #[derive(Debug, Clone, PartialEq)]
@@ -48,8 +45,8 @@ impl<'a> Look<'a> {
         };
         let names = || raster.bands.iter().map(|b| b.name.as_str()).collect::<Vec<_>>();
         let band = found.ok_or_else(|| no_band(band.unwrap_or("(first)"), &names()))?;
-        let values = if raster.quantity == CLASSES {
-            band.values.iter().map(|value| if *value < CONFUSION.len() as f32 { *value } else { f32::NAN }).collect()
+        let values = if is_confusion(&raster.quantity) {
+            band.values.iter().map(|value| class(*value)).collect()
         } else {
             Cow::from(&band.values)
         };
@@ -120,9 +117,9 @@ impl<'a> Look<'a> {
     /// `range_m` from zero or from the median, or so far that they hold 98 % of the differences, 99 % of elevations and
     /// depths, all of everything else; one for each class of a confusion. `None` where nothing has a value.
     pub fn scale(&self, palette: Option<Palette>, range_m: Option<f64>) -> Option<ColourScale> {
-        if self.quantity == CLASSES && palette.is_none() {
+        if is_confusion(&self.quantity) && palette.is_none() {
             let some = self.values.iter().any(|value| !value.is_nan());
-            return some.then_some(ColourScale { palette: Palette::Confusion, low: 0.0, high: 3.0 });
+            return some.then_some(ColourScale::CLASSES);
         }
         let diverging = self.quantity == "difference";
         let suiting = if diverging { Palette::RedBlue } else { Palette::Viridis };

@@ -4,7 +4,7 @@
 //! and kept between 1 and 255 otherwise, so that values can be had back from the picture to 1/254 of its range.
 
 use super::{every, left_out, stride_to};
-use crate::figure::colour_scale::{CONFUSION, ColourScale, NO_DATA, Palette, round_step, rounded};
+use crate::figure::colour_scale::{ColourScale, NO_DATA, Palette, class, is_confusion, round_step, rounded};
 use rockface_core::artefact::sketch::{ColourKey, GridBand, GridSketch, PictureSketch, Shape, Sketch};
 use rockface_core::artefact::{Depth, Picture, Raster};
 use rockface_core::numerics::quantile::nearest_rank;
@@ -106,9 +106,8 @@ fn false_colours(field: &Field) -> Option<Sketch> {
     let rows = field.values.len().checked_div(field.columns)?;
     let stride = stride_to(field.columns.max(rows), PICTURE_PX);
     let (width, mut values) = sampled(field.values, field.columns, stride);
-    if field.quantity == "confusion" {
-        // Numbers beyond the classes are no class.
-        values.iter_mut().filter(|value| **value >= CONFUSION.len() as f32).for_each(|value| *value = f32::NAN);
+    if is_confusion(field.quantity) {
+        values.iter_mut().for_each(|value| *value = class(*value));
     }
     let height = values.len().checked_div(width)?;
     let (word, scale) = scale(field.quantity, &values);
@@ -142,8 +141,8 @@ fn sampled(values: &[f32], columns: usize, stride: usize) -> (usize, Vec<f32>) {
 
 /// The colours of a quantity: all but the outermost values lie within.
 fn scale(quantity: &str, values: &[f32]) -> (&'static str, ColourScale) {
-    if quantity == "confusion" {
-        return ("confusion", ColourScale { palette: Palette::Confusion, low: 0.0, high: 3.0 });
+    if is_confusion(quantity) {
+        return ("confusion", ColourScale::CLASSES);
     }
     let at = |share| nearest_rank(values.iter().copied(), share).unwrap_or(0.0);
     let (word, palette, low, high) = if diverges(quantity) {
