@@ -2,9 +2,11 @@
 
 use clap::Args;
 use rockface_core::limits::raise_memory_limit;
-use rockface_engine::run::Options;
+use rockface_engine::run::{MachineMemory, Options};
 
+use super::output::complain;
 use super::sizes::bytes_of;
+use super::table::bytes;
 
 /// The greatest memory that is accepted, GiB; more is a typing error.
 const MEMORY_LIMIT_GIB: f64 = 1_048_576.0;
@@ -49,6 +51,14 @@ impl CapacityArgs {
         options.jobs = self.jobs.map_or(options.jobs, usize::from);
         options.memory_bytes = self.memory.memory.as_ref().map_or(options.memory_bytes, |memory| memory.bytes);
         raise_memory_limit(options.memory_bytes as u64);
+        let machine = MachineMemory::now().map_or(u64::MAX, |machine| machine.total);
+        if let Some(memory) = self.memory.memory.as_ref().filter(|memory| memory.bytes as u64 > machine) {
+            let has = bytes(machine);
+            complain(&format!(
+                "warning: `--memory {}` is more than there is here, {has}; it is in GiB, or with a unit (500MB)",
+                memory.text
+            ));
+        }
     }
 }
 

@@ -50,6 +50,10 @@ fn an_unknown_stage() {
         "rockface: 1\nsteps: {a: {stage: emitt}}\n",
         &["test.yaml:2:20", "unknown stage `emitt`", "did you mean `emit`?"],
     );
+    check(
+        "rockface: 1\nsteps: {a: {stage: rockface/stereo-site}}\n",
+        &["test.yaml:2:20", "unknown stage `rockface/stereo-site`", "a part is named by `use`, not by `stage`"],
+    );
 }
 
 #[test]

@@ -36,6 +36,17 @@ fn heavy_steps_wait_for_memory_by_what_they_will_need() {
 }
 
 #[test]
+fn megabytes_given_as_gigabytes_are_warned_of() {
+    let house = House::new(FACES);
+    let (code, _, err) = house.rockface(&["run", "p.yaml", "--memory", "900000"]);
+    let warned = "warning: `--memory 900000` is more than there is here, ";
+    assert!(
+        code == Some(0) && err.contains(warned) && err.contains("GiB; it is in GiB, or with a unit (500MB)"),
+        "{err}"
+    );
+}
+
+#[test]
 fn records_tell_what_a_step_took_and_what_its_outputs_take() {
     let house = House::new(FACES);
     let (code, _, err) = house.rockface(&["run", "p.yaml"]);

@@ -36,7 +36,9 @@ const NAMES: &[Rule] = &[
         keeps: (PLAIN, "u: {use: p}"),
         plans: "u/s",
         breaks: (PLAIN, "u: {use: q}"),
-        says: &["unknown part `q` @5:36; = did you mean `p`?; a file is named by its path, `parts/name.yaml`"],
+        says: &[
+            "unknown part `q` @5:36; = did you mean `p`?; a file is named by its path, `parts/name.yaml`; a stage is named by `stage`, not by `use`",
+        ],
     },
     Rule {
         text: "a step is a use or has a stage",

@@ -173,7 +173,10 @@ impl<'d> Resolver<'d> {
             if stage.is_none() {
                 let known = self.available.iter().map(|stage| stage.name());
                 let fault = Diagnostic::at(step.stage.span, format!("unknown stage `{}`", step.stage.text));
-                self.faults.push(self.suggest(fault, &step.stage.text, || known));
+                let fault = self.suggest(fault, &step.stage.text, || known);
+                // Only names of parts have a slash.
+                let is_part = step.stage.text.contains('/');
+                self.faults.push(if is_part { fault.hint("a part is named by `use`, not by `stage`") } else { fault });
             }
         }
         for (key, _) in &self.document().params {

@@ -111,11 +111,7 @@ fn name_of(raster: &Raster) -> String {
 
 /// The value of the cell that a point is in; `None` beside the raster and where it has none.
 fn value_under(raster: &Raster, [x, y, _]: [f64; 3]) -> Option<f32> {
-    let grid = &raster.grid;
-    let (column, row) = ((x - grid.left_m) / grid.cell_m, (grid.top_m - y) / grid.cell_m);
-    let inside = column >= 0.0 && row >= 0.0 && column < grid.columns as f64 && row < grid.rows as f64;
-    let value = inside.then(|| raster.bands[0].values[row as usize * grid.columns + column as usize]);
-    value.filter(|value| value.is_finite())
+    raster.grid.cell_of([x, y]).map(|cell| raster.bands[0].values[cell]).filter(|value| value.is_finite())
 }
 
 #[cfg(test)]

@@ -8,14 +8,8 @@ const TOLERANCE_CELLS: f64 = 1e-6;
 /// Whether the cells of two grids lie on each other to a millionth of a cell, at every corner.
 pub fn same(a: &Grid, b: &Grid) -> bool {
     let tolerance_m = TOLERANCE_CELLS * a.cell_m;
-    let right_m = |grid: &Grid| grid.left_m + grid.columns as f64 * grid.cell_m;
-    let bottom_m = |grid: &Grid| grid.top_m - grid.rows as f64 * grid.cell_m;
-    let near = |x: f64, y: f64| (x - y).abs() <= tolerance_m;
-    (a.columns, a.rows) == (b.columns, b.rows)
-        && near(a.left_m, b.left_m)
-        && near(a.top_m, b.top_m)
-        && near(right_m(a), right_m(b))
-        && near(bottom_m(a), bottom_m(b))
+    let near = |(a, b): (f64, f64)| (a - b).abs() <= tolerance_m;
+    (a.columns, a.rows) == (b.columns, b.rows) && a.extent_m().into_iter().zip(b.extent_m()).all(near)
 }
 
 /// A grid in words, for messages.

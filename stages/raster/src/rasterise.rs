@@ -97,7 +97,7 @@ pub fn mean(shape: Shape, moved: Option<&Moved>, grid: &Grid, minimum_points: u3
 pub(super) fn place(grid: &Grid, [x, y, z]: [f64; 3]) -> (u32, f64) {
     // A cell has its left and its lower edge, and not its upper one: `grid_around` rounds down to whole cells in X and in Y, so that
     // every point it is made around has a cell. Cutting off is rounding down where there is no sign, and needs no call.
-    let (column, row) = ((x - grid.left_m) / grid.cell_m, (grid.top_m - y) / grid.cell_m);
+    let [column, row] = grid.in_cells([x, y]);
     if column >= 0.0 && column < grid.columns as f64 && row > 0.0 && row <= grid.rows as f64 && !z.is_nan() {
         let cut = row as u32;
         let row = cut - u32::from(f64::from(cut) >= row);
@@ -170,7 +170,8 @@ fn for_each_band(
 
 /// Columns and rows from the centre of the first cell, Z in metres.
 fn to_cells(grid: &Grid, [x, y, z]: [f64; 3]) -> [f64; 3] {
-    [(x - grid.left_m) / grid.cell_m - 0.5, (grid.top_m - y) / grid.cell_m - 0.5, z]
+    let [column, row] = grid.in_cells([x, y]);
+    [column - 0.5, row - 0.5, z]
 }
 
 fn row_range(shape: Shape, strip: usize, points: &[[f64; 3]]) -> [f64; 2] {

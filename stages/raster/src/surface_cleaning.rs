@@ -30,14 +30,10 @@ impl Rules<'_> {
     }
 
     /// Whether a corner lies over a valid cell of the mask.
-    pub fn in_mask(&self, [x, y]: [f64; 2]) -> bool {
+    pub fn in_mask(&self, place: [f64; 2]) -> bool {
         let Some(Raster { grid, bands, .. }) = self.mask else { return true };
-        let (column, row) = ((x - grid.left_m) / grid.cell_m, (grid.top_m - y) / grid.cell_m);
-        let inside = column >= 0.0 && row >= 0.0 && column < grid.columns as f64 && row < grid.rows as f64;
-        inside && {
-            let value = bands[0].values[row as usize * grid.columns + column as usize];
-            value.is_finite() && value != 0.0
-        }
+        let value = grid.cell_of(place).map(|cell| bands[0].values[cell]);
+        value.is_some_and(|value| value.is_finite() && value != 0.0)
     }
 }
 

@@ -2,7 +2,7 @@
 
 use crate::grid;
 use rockface_core::StageError;
-use rockface_core::artefact::{Band, Grid, Raster};
+use rockface_core::artefact::{Band, Raster};
 use rockface_core::params::Fault;
 
 /// How far a cell may reach beyond a window and still count as inside, in cells.
@@ -50,15 +50,8 @@ pub fn cropped(raster: &Raster, window_m: [f64; 4]) -> Result<Raster, StageError
         let row = |row: usize| &band.values[row * grid.columns + columns.start..row * grid.columns + columns.end];
         Band { name: band.name.clone(), values: rows.clone().flat_map(row).copied().collect() }
     };
-    let part = Grid {
-        columns: columns.len(),
-        rows: rows.len(),
-        cell_m: grid.cell_m,
-        left_m: grid.left_m + columns.start as f64 * grid.cell_m,
-        top_m: grid.top_m - rows.start as f64 * grid.cell_m,
-    };
     Ok(Raster {
-        grid: part,
+        grid: grid.part(columns.clone(), rows.clone()),
         frame: raster.frame,
         quantity: raster.quantity.clone(),
         sample: raster.sample,
@@ -76,7 +69,7 @@ fn inside([from, to]: [f64; 2], cell_m: f64, cells: usize) -> std::ops::Range<us
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rockface_core::artefact::Frame;
+    use rockface_core::artefact::{Frame, Grid};
 
     /// 5 x 4 cells of 0.1 m, two bands; each value says its column and row.
     fn raster() -> Raster {

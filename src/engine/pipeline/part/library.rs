@@ -116,7 +116,9 @@ impl<'l> Library<'l> {
                     fault.hint(format!("did you mean `{}`?", part.name))
                 } else {
                     let names = known.keys().map(String::as_str).chain(self.shipped.iter().map(|part| part.name));
-                    fault.suggest(&word.text, names).or_hint("a file is named by its path, `parts/name.yaml`")
+                    fault.suggest(&word.text, names).or_hint(
+                        "a file is named by its path, `parts/name.yaml`; a stage is named by `stage`, not by `use`",
+                    )
                 });
                 return None;
             }

@@ -43,7 +43,8 @@ pub fn root(name: &str, id: &str, title: &str, description: &str, items: &[Strin
 /// The JSON of the item of one tile.
 pub fn item(item: &Item) -> Vec<u8> {
     let Grid { columns, rows, cell_m, left_m, top_m } = item.grid;
-    let bounds = [left_m, top_m - rows as f64 * cell_m, left_m + columns as f64 * cell_m, top_m];
+    let [_, right_m, bottom_m, _] = item.grid.extent_m();
+    let bounds = [left_m, bottom_m, right_m, top_m];
     let mut properties = item.properties.clone();
     let crs = item.frame.crs();
     let code = crs.and_then(Crs::epsg);

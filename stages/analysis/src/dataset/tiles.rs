@@ -105,13 +105,8 @@ fn cells(grid: &Grid, [row, column]: [usize; 2], side: usize) -> impl Iterator<I
 impl Tile {
     /// The grid of its cells within the whole one.
     pub fn grid(&self, whole: &Grid) -> Grid {
-        Grid {
-            columns: self.side,
-            rows: self.side,
-            left_m: whole.left_m + self.corner[1] as f64 * whole.cell_m,
-            top_m: whole.top_m - self.corner[0] as f64 * whole.cell_m,
-            ..*whole
-        }
+        let [row, column] = self.corner;
+        whole.part(column..column + self.side, row..row + self.side)
     }
 
     /// Its part of values on the whole grid.

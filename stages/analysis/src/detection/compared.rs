@@ -23,24 +23,19 @@ pub fn cells(inventory: &Inventory, grid: &Grid, seen: &[bool]) -> Vec<Vec<usize
 fn window(feature: &Feature, grid: &Grid) -> Option<(Grid, usize)> {
     let points = || feature.outline.iter().flat_map(|polygon| &polygon.exterior);
     let fold = |axis: usize, pick: fn(f64, f64) -> f64| points().map(|p| p[axis]).reduce(pick);
-    let column = |x: f64| ((x - grid.left_m) / grid.cell_m).clamp(-1.0, grid.columns as f64).floor() as i64;
-    let row = |y: f64| ((grid.top_m - y) / grid.cell_m).clamp(-1.0, grid.rows as f64).floor() as i64;
+    let cell = |[x, y]: [f64; 2]| {
+        let [column, row] = grid.in_cells([x, y]);
+        [column.clamp(-1.0, grid.columns as f64), row.clamp(-1.0, grid.rows as f64)].map(|at| at.floor() as i64)
+    };
     let inside = |value: i64, last: usize| value.clamp(0, last as i64 - 1) as usize;
-    let (left, right) = (column(fold(0, f64::min)?), column(fold(0, f64::max)?));
-    let (top, bottom) = (row(fold(1, f64::max)?), row(fold(1, f64::min)?));
+    let [left, top] = cell([fold(0, f64::min)?, fold(1, f64::max)?]);
+    let [right, bottom] = cell([fold(0, f64::max)?, fold(1, f64::min)?]);
     if right < 0 || bottom < 0 || left >= grid.columns as i64 || top >= grid.rows as i64 {
         return None;
     }
     let (left, right) = (inside(left, grid.columns), inside(right, grid.columns));
     let (top, bottom) = (inside(top, grid.rows), inside(bottom, grid.rows));
-    let window = Grid {
-        columns: right - left + 1,
-        rows: bottom - top + 1,
-        left_m: grid.left_m + left as f64 * grid.cell_m,
-        top_m: grid.top_m - top as f64 * grid.cell_m,
-        ..*grid
-    };
-    Some((window, top * grid.columns + left))
+    Some((grid.part(left..right + 1, top..bottom + 1), top * grid.columns + left))
 }
 
 /// The labels of a raster on the grid of the comparison, ascending, each with its cells that `seen` says can be compared.

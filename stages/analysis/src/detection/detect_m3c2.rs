@@ -131,10 +131,7 @@ fn points<'a>(port: &str, artefact: &'a Artefact, vertices: Option<&'a [bool]>) 
 }
 
 fn grid(params: &DetectM3c2Params, reference: Shape, inputs: &Inputs) -> Result<Grid, StageError> {
-    let window = inputs.optional::<Raster>("grid")?.map(|raster| {
-        let Grid { columns, rows, cell_m, left_m, top_m } = raster.grid;
-        [left_m, left_m + columns as f64 * cell_m, top_m - rows as f64 * cell_m, top_m]
-    });
+    let window = inputs.optional::<Raster>("grid")?.map(|raster| raster.grid.extent_m());
     let grid = if let Some(window) = window {
         rasterise::grid_of_window(window, params.core_spacing_m)
     } else {

@@ -54,15 +54,10 @@ pub struct Distance {
 pub fn cores(reference: &Cloud, grid: &Grid) -> Vec<Option<[f64; 3]>> {
     let mut nearest: Vec<Option<(f64, Vector3<f64>)>> = vec![None; grid.cells()];
     for point in reference.points() {
-        let column = ((point.x - grid.left_m) / grid.cell_m).floor();
-        let row = ((grid.top_m - point.y) / grid.cell_m).floor();
-        if !(0.0..grid.columns as f64).contains(&column) || !(0.0..grid.rows as f64).contains(&row) {
-            continue;
-        }
-        let (row, column) = (row as usize, column as usize);
-        let (x, y) = grid.centre(row, column);
+        let Some(cell) = grid.cell_of([point.x, point.y]) else { continue };
+        let (x, y) = grid.centre(cell / grid.columns, cell % grid.columns);
         let square = (point.x - x) * (point.x - x) + (point.y - y) * (point.y - y);
-        let best = &mut nearest[row * grid.columns + column];
+        let best = &mut nearest[cell];
         if best.is_none_or(|(least, _)| square < least) {
             *best = Some((square, point));
         }

@@ -79,12 +79,7 @@ fn stretched(values: &[f32], old: Grid, grid: Grid) -> Vec<f32> {
 /// The cell of a model where the face at a cell of a DEM is the one it knows: at the same place and elevation, or unknown in both.
 fn known_cell(noise: &Noise, dem: &Raster, cell: usize) -> Option<usize> {
     let (x, y) = dem.grid.centre(cell / dem.grid.columns, cell % dem.grid.columns);
-    let at = [(x - noise.grid.left_m) / noise.grid.cell_m, (noise.grid.top_m - y) / noise.grid.cell_m];
-    let inside = |at: f64, size: usize| at >= 0.0 && at < size as f64;
-    if !inside(at[0], noise.grid.columns) || !inside(at[1], noise.grid.rows) {
-        return None;
-    }
-    let own = at[1] as usize * noise.grid.columns + at[0] as usize;
+    let own = noise.grid.cell_of([x, y])?;
     let z = f64::from(dem.bands[0].values[cell]);
     let same = if z.is_nan() { noise.elevation[own].is_nan() } else { is_known(noise, own, z) == Some(true) };
     same.then_some(own)

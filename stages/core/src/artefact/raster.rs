@@ -1,6 +1,7 @@
 //! Bands on a square grid, kept as GeoTIFF: elevations, differences, masks, stacks of them.
 
 use super::Frame;
+use std::ops::Range;
 
 /// A square grid. Row 0 is at the top; cell (row, column) covers
 /// `left + column cell .. left + (column + 1) cell` by `top - (row + 1) cell .. top - row cell`.
@@ -27,6 +28,39 @@ impl Grid {
     /// Centre of a cell, metres.
     pub fn centre(&self, row: usize, column: usize) -> (f64, f64) {
         (self.left_m + (column as f64 + 0.5) * self.cell_m, self.top_m - (row as f64 + 0.5) * self.cell_m)
+    }
+
+    /// Cells from the upper left corner of the grid to a place (X, Y in metres): to the right and down.
+    #[inline(always)]
+    pub fn in_cells(&self, [x, y]: [f64; 2]) -> [f64; 2] {
+        [(x - self.left_m) / self.cell_m, (self.top_m - y) / self.cell_m]
+    }
+
+    /// The number of the cell that a place (X, Y in metres) is in, by row from the top; `None` beside the grid and where a coordinate
+    /// is NaN. A cell has its left and its upper edge.
+    #[inline(always)]
+    pub fn cell_of(&self, place: [f64; 2]) -> Option<usize> {
+        let [column, row] = self.in_cells(place);
+        let inside = column >= 0.0 && row >= 0.0 && column < self.columns as f64 && row < self.rows as f64;
+        inside.then(|| row as usize * self.columns + column as usize)
+    }
+
+    /// Its left, right, bottom and top edge, metres.
+    pub fn extent_m(&self) -> [f64; 4] {
+        let [width_m, height_m] = [self.columns, self.rows].map(|cells| cells as f64 * self.cell_m);
+        [self.left_m, self.left_m + width_m, self.top_m - height_m, self.top_m]
+    }
+
+    /// The part of it that has these columns and rows.
+    #[must_use]
+    pub fn part(&self, columns: Range<usize>, rows: Range<usize>) -> Self {
+        Self {
+            columns: columns.len(),
+            rows: rows.len(),
+            cell_m: self.cell_m,
+            left_m: self.left_m + columns.start as f64 * self.cell_m,
+            top_m: self.top_m - rows.start as f64 * self.cell_m,
+        }
     }
 }
 

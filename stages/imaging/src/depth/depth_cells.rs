@@ -318,9 +318,7 @@ mod tests {
             let point = camera.centre() + direction * f64::from(*z);
             let cosine = (direction.z.abs() / direction.norm()).max(LEAST_COSINE);
             let sigma = f64::from((sigma_m * direction.z.abs() / cosine.sqrt()) as f32);
-            let column = ((point.x - grid.left_m) / grid.cell_m).floor() as usize;
-            let row = ((grid.top_m - point.y) / grid.cell_m).floor() as usize;
-            let cell = &mut sums[row * grid.columns + column];
+            let cell = &mut sums[grid.cell_of([point.x, point.y]).unwrap()];
             let weight = 1.0 / (sigma * sigma);
             *cell = [cell[0] + weight, cell[1] + weight * f64::from(point.z as f32), cell[2] + 1.0];
         }

@@ -137,9 +137,8 @@ fn extent(
         return Err(StageError::new(text).hint("import rasters, mesh and cameras with the same `frame`"));
     }
     let (grid, margin_m) = (raster.grid, params.margin_cells * raster.grid.cell_m);
-    let [width_m, height_m] = [grid.columns, grid.rows].map(|cells| cells as f64 * grid.cell_m);
-    let (left, top) = (grid.left_m - margin_m, grid.top_m + margin_m);
-    Ok(Some([left, grid.left_m + width_m + margin_m, grid.top_m - height_m - margin_m, top]))
+    let [left, right, bottom, top] = grid.extent_m();
+    Ok(Some([left - margin_m, right + margin_m, bottom - margin_m, top + margin_m]))
 }
 
 /// Refuses a lens without an inverse in the middle of the image, and warns of one that folds back towards its corners.

@@ -103,12 +103,8 @@ impl Stage for ForecastPrecision {
         if points.is_empty() {
             fail!("no part of the face lies in `window_m`");
         }
-        let compared_at = difference.map(|difference| {
-            let grid = &difference.grid;
-            let [right, bottom] = [grid.columns, grid.rows].map(|cells| cells as f64 * grid.cell_m);
-            let within = [grid.left_m, grid.left_m + right, grid.top_m - bottom, grid.top_m];
-            places(mesh, Some(within), &|x, y| has_value(difference, x, y))
-        });
+        let compared_at = difference
+            .map(|difference| places(mesh, Some(difference.grid.extent_m()), &|x, y| has_value(difference, x, y)));
         let compared_at = compared_at.transpose()?;
         if compared_at.as_ref().is_some_and(Vec::is_empty) {
             fail!("no part of the face lies where the difference has values");
@@ -365,11 +361,8 @@ fn in_window(window_m: Option<[f64; 4]>, x: f64, y: f64) -> bool {
 
 /// Whether the first band of a raster has a value at a place.
 fn has_value(raster: &Raster, x: f64, y: f64) -> bool {
-    let grid = &raster.grid;
-    let (column, row) = ((x - grid.left_m) / grid.cell_m, (grid.top_m - y) / grid.cell_m);
-    let inside = column >= 0.0 && row >= 0.0 && column < grid.columns as f64 && row < grid.rows as f64;
-    let value = |band: &Band| band.values[row as usize * grid.columns + column as usize];
-    inside && raster.bands.first().is_some_and(|band| value(band).is_finite())
+    let value = raster.grid.cell_of([x, y]).zip(raster.bands.first()).map(|(cell, band)| band.values[cell]);
+    value.is_some_and(f32::is_finite)
 }
 
 /// Standard deviation and NMAD of the first band of a difference, metres.

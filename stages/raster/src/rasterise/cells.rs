@@ -69,7 +69,7 @@ fn find_all([first, end]: [usize; 2], grid: &Grid, found: &mut Cells, point: imp
         let cells = &mut found.cell[known..known + count];
         for i in 0..count {
             // A cell has its left and its lower edge.
-            let (column, row) = ((x[i] - grid.left_m) / grid.cell_m, (grid.top_m - y[i]) / grid.cell_m);
+            let [column, row] = grid.in_cells([x[i], y[i]]);
             let inside = (column >= 0.0) & (column < columns) & (row > 0.0) & (row <= rows) & !z[i].is_nan();
             let cell = (row.ceil() - 1.0) * columns + column.floor();
             cells[i] = if inside { whole(cell) as u32 } else { u32::MAX };

@@ -104,10 +104,7 @@ mod tests {
             (raster.sample, raster.quantity.as_str(), raster.bands[0].name.as_str()),
             (Sample::Byte, "mask", "zone")
         );
-        let at = |x: f64, y: f64| {
-            let (row, column) = ((raster.grid.top_m - y) / 0.1, (x - raster.grid.left_m) / 0.1);
-            raster.bands[0].values[row as usize * raster.grid.columns + column as usize]
-        };
+        let at = |x: f64, y: f64| raster.bands[0].values[raster.grid.cell_of([x, y]).unwrap()];
         let values = [at(0.05, 0.05), at(1.65, 0.05), at(1.75, 0.05), at(2.05, 0.05)];
         assert!(values.map(|value| value > 0.5) == [true, true, false, false], "{values:?}");
         assert!((host.metric("zone_area").unwrap() - 3.4 * 1.4).abs() < 1e-9);

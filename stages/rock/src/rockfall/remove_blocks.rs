@@ -208,8 +208,8 @@ impl Stage for RemoveBlocks {
 /// Warns where a zone cannot be that of the whole face: it reaches farther beyond it than the cells around a face.
 fn tell_if_foreign(mesh: &Mesh, zone: &Raster, context: &Context) {
     let (face, grid) = (Rect::around(&mesh.vertices), &zone.grid);
-    let [wide, high] = [grid.columns, grid.rows].map(|count| count as f64 * grid.cell_m);
-    let zone = Rect { low: [grid.left_m, grid.top_m - high], high: [grid.left_m + wide, grid.top_m] };
+    let [left, right, bottom, top] = grid.extent_m();
+    let zone = Rect { low: [left, bottom], high: [right, top] };
     let beyond = |k: usize| (face.low[k] - zone.low[k]).max(zone.high[k] - face.high[k]);
     let farthest_m = beyond(0).max(beyond(1));
     if farthest_m > 3.0 * grid.cell_m {

@@ -124,9 +124,8 @@ impl<'a> Survey<'a> {
             within && self.inside[row as usize * grid.columns + column as usize]
         };
         let mut corners = feature.outline.iter().flat_map(|polygon| &polygon.exterior);
-        corners.all(|[x, y]| {
-            let column = ((x - grid.left_m) / grid.cell_m).round() as i64;
-            let row = ((grid.top_m - y) / grid.cell_m).round() as i64;
+        corners.all(|corner| {
+            let [column, row] = grid.in_cells(*corner).map(|cells| cells.round() as i64);
             (row - reach..row + reach).all(|r| (column - reach..column + reach).all(|c| is_inside(r, c)))
         })
     }

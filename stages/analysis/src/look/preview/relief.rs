@@ -69,14 +69,8 @@ fn means(shape: Shape, step: usize, grid: &Grid) -> Vec<f32> {
     let mut sums = vec![(0.0f64, 0u32); grid.cells()];
     for place in (0..shape.places()).step_by(step) {
         let [x, y, z] = shape.point(place, None);
-        let (column, row) = ((x - grid.left_m) / grid.cell_m, (grid.top_m - y) / grid.cell_m);
-        if column >= 0.0
-            && row >= 0.0
-            && (column as usize) < grid.columns
-            && (row as usize) < grid.rows
-            && z.is_finite()
-        {
-            let (sum, count) = &mut sums[row as usize * grid.columns + column as usize];
+        if let Some(cell) = grid.cell_of([x, y]).filter(|_| z.is_finite()) {
+            let (sum, count) = &mut sums[cell];
             *sum += z;
             *count += 1;
         }

@@ -71,11 +71,10 @@ fn around(inventory: &Inventory) -> Option<[f64; 4]> {
 /// The relief in grey with the outlines over it, a pixel a cell.
 fn sheet(inventory: &Inventory, face: Option<Shape>, grid: &Grid, logs: &[f64], scale: &ColourScale) -> Canvas {
     let mut sheet = Canvas::new(grid.columns, grid.rows);
-    if let Some((under, values)) = face.and_then(|shape| relief::elevations(shape, grid_extent(grid))) {
+    if let Some((under, values)) = face.and_then(|shape| relief::elevations(shape, grid.extent_m())) {
         shade(&mut sheet, grid, &under, &values);
     }
-    let place = |[x, y]: &[f64; 2]| [(x - grid.left_m) / grid.cell_m, (grid.top_m - y) / grid.cell_m];
-    let ring = |ring: &Vec<[f64; 2]>| ring.iter().map(place).collect::<Vec<_>>();
+    let ring = |ring: &Vec<[f64; 2]>| ring.iter().map(|place| grid.in_cells(*place)).collect::<Vec<_>>();
     for (feature, log) in inventory.features.iter().zip(logs) {
         for polygon in &feature.outline {
             let pixels = Polygon { exterior: ring(&polygon.exterior), holes: polygon.holes.iter().map(ring).collect() };
@@ -86,18 +85,9 @@ fn sheet(inventory: &Inventory, face: Option<Shape>, grid: &Grid, logs: &[f64], 
     sheet
 }
 
-fn grid_extent(grid: &Grid) -> [f64; 4] {
-    let (width, height) = (grid.columns as f64 * grid.cell_m, grid.rows as f64 * grid.cell_m);
-    [grid.left_m, grid.left_m + width, grid.top_m - height, grid.top_m]
-}
-
 /// Fills a sheet with the light on elevations that may be in larger cells.
 fn shade(sheet: &mut Canvas, grid: &Grid, under: &Grid, values: &[f32]) {
-    let at = |x: f64, y: f64| {
-        let (column, row) = ((x - under.left_m) / under.cell_m, (under.top_m - y) / under.cell_m);
-        let inside = column >= 0.0 && row >= 0.0 && (column as usize) < under.columns && (row as usize) < under.rows;
-        if inside { f64::from(values[row as usize * under.columns + column as usize]) } else { f64::NAN }
-    };
+    let at = |x: f64, y: f64| under.cell_of([x, y]).map_or(f64::NAN, |cell| f64::from(values[cell]));
     let step = under.cell_m;
     for row in 0..grid.rows {
         for column in 0..grid.columns {

@@ -124,11 +124,7 @@ fn seen_elevation(noise: &Noise, depth: &Depth, camera: &Camera) -> Vec<f32> {
     let grid = noise.grid;
     // The cell and the elevation of each point of a row that is on the grid.
     let points = |row: usize| -> Vec<(usize, f64)> {
-        let on_grid = |[x, y, z]: [f64; 3]| {
-            let at = [(x - grid.left_m) / grid.cell_m, (grid.top_m - y) / grid.cell_m];
-            let inside = at[0] >= 0.0 && at[1] >= 0.0 && at[0] < grid.columns as f64 && at[1] < grid.rows as f64;
-            inside.then(|| (at[1] as usize * grid.columns + at[0] as usize, z))
-        };
+        let on_grid = |[x, y, z]: [f64; 3]| grid.cell_of([x, y]).map(|cell| (cell, z));
         PixelRow::new(depth, camera, camera, row).points_m().filter_map(on_grid).collect()
     };
     let mut sums = vec![[0.0f64; 2]; grid.cells()];

@@ -60,15 +60,10 @@ impl Strength {
     }
 
     /// The factor of the cell of a place; 1 outside of the grid; in a hole of the map, the largest factor within two cells.
-    pub fn at(&self, [x, y]: [f64; 2]) -> f64 {
-        let (column, row) = ((x - self.grid.left_m) / self.grid.cell_m, (self.grid.top_m - y) / self.grid.cell_m);
-        let (columns, rows) = (self.grid.columns as f64, self.grid.rows as f64);
-        if !(column >= 0.0 && row >= 0.0 && column < columns && row < rows) {
-            return 1.0;
-        }
-        let (column, row) = (column as usize, row as usize);
-        let value = self.values[row * self.grid.columns + column];
-        if value.is_nan() { self.nearby(column, row) } else { f64::from(value) }
+    pub fn at(&self, place: [f64; 2]) -> f64 {
+        let Some(cell) = self.grid.cell_of(place) else { return 1.0 };
+        let value = self.values[cell];
+        if value.is_nan() { self.nearby(cell % self.grid.columns, cell / self.grid.columns) } else { f64::from(value) }
     }
 
     /// Holes of the map lie where noise is strongest.

@@ -51,12 +51,9 @@ pub fn density(weights: &Weights, mask: &[f32], cell_m: f64) -> Result<Vec<f32>,
 
 /// The bands of a raster at the centres of the cells of a grid, NaN beside it; and how many cells are.
 pub fn resampled(raster: &Raster, grid: &Grid) -> (Vec<Band>, usize) {
-    let from = &raster.grid;
     let cell = |at: usize| {
         let (x, y) = grid.centre(at / grid.columns, at % grid.columns);
-        let (column, row) = ((x - from.left_m) / from.cell_m, (from.top_m - y) / from.cell_m);
-        let inside = column >= 0.0 && row >= 0.0 && column < from.columns as f64 && row < from.rows as f64;
-        inside.then(|| row as usize * from.columns + column as usize)
+        raster.grid.cell_of([x, y])
     };
     let cells: Vec<Option<usize>> = (0..grid.cells()).map(cell).collect();
     let sampled = |band: &Band| Band {

@@ -116,13 +116,7 @@ impl Window {
         let (last_column, last_row) = (grid.columns.checked_sub(1)?, grid.rows.checked_sub(1)?);
         let (left, right) = (cell(low[0] - grid.left_m, last_column), cell(high[0] - grid.left_m, last_column));
         let (above, below) = (cell(grid.top_m - high[1], last_row), cell(grid.top_m - low[1], last_row));
-        let window = Grid {
-            columns: right - left + 1,
-            rows: below - above + 1,
-            left_m: grid.left_m + left as f64 * grid.cell_m,
-            top_m: grid.top_m - above as f64 * grid.cell_m,
-            ..*grid
-        };
+        let window = grid.part(left..right + 1, above..below + 1);
         let Facets { vertices, triangles } = piece.clone();
         let mesh = Mesh { frame: Frame::Wall, vertices, triangles, colours: Vec::new() };
         let top = rasterise::tin(Shape::Mesh(&mesh), None, &window);

@@ -30,14 +30,7 @@ impl<'a> Zone<'a> {
 
     /// Whether a point lies in a cell of the zone.
     pub fn has(&self, x: f64, y: f64) -> bool {
-        let column = ((x - self.grid.left_m) / self.grid.cell_m).floor();
-        let row = ((self.grid.top_m - y) / self.grid.cell_m).floor();
-        let inside = column >= 0.0 && row >= 0.0 && column < self.grid.columns as f64 && row < self.grid.rows as f64;
-        inside && self.is_safe(row as usize, column as usize)
-    }
-
-    fn is_safe(&self, row: usize, column: usize) -> bool {
-        self.values[row * self.grid.columns + column] > 0.0
+        self.grid.cell_of([x, y]).is_some_and(|cell| self.values[cell] > 0.0)
     }
 
     /// Whether a surface lies in the zone: its vertices, and every cell whose centre it covers.
@@ -49,12 +42,13 @@ impl<'a> Zone<'a> {
     fn holds_triangle(&self, corners: [[f64; 3]; 3]) -> bool {
         let rect = Rect::around(&corners);
         let cell = |x: f64, count: usize| (x.max(0.0) as usize).min(count.saturating_sub(1));
-        let column = |x: f64| cell((x - self.grid.left_m) / self.grid.cell_m, self.grid.columns);
-        let row = |y: f64| cell((self.grid.top_m - y) / self.grid.cell_m, self.grid.rows);
-        (row(rect.high[1])..=row(rect.low[1])).all(|r| {
-            (column(rect.low[0])..=column(rect.high[0])).all(|c| {
+        let [first_column, first_row] = self.grid.in_cells([rect.low[0], rect.high[1]]);
+        let [last_column, last_row] = self.grid.in_cells([rect.high[0], rect.low[1]]);
+        let columns = cell(first_column, self.grid.columns)..=cell(last_column, self.grid.columns);
+        (cell(first_row, self.grid.rows)..=cell(last_row, self.grid.rows)).all(|r| {
+            columns.clone().all(|c| {
                 let (x, y) = self.grid.centre(r, c);
-                self.is_safe(r, c) || height_in(corners, x, y).is_none()
+                self.values[r * self.grid.columns + c] > 0.0 || height_in(corners, x, y).is_none()
             })
         })
     }
