@@ -11,16 +11,16 @@ use crate::noise::learning::bad::parted;
 use crate::noise::learning::by_place::{self, Strengths};
 use crate::noise::learning::common_share::common_share;
 use crate::noise::learning::contrast::{self, Figures, Nearest};
-use crate::noise::learning::departure::{Departure, Mean, of_another};
-use crate::noise::learning::differences::{check, check_filtered, differences, gaps, per_step, seen, skewnesses};
+use crate::noise::learning::correction::{Correction, Known};
+use crate::noise::learning::differences::{check, check_filtered, differences, per_step, seen, skewnesses};
+use crate::noise::learning::gains::{Gains, Marks};
 use crate::noise::learning::trend_weights::{Level, weighed};
 use crate::noise::learning::whitening::{
     BANDS, LEAST_SIDE_CELLS, Places, Prior, Stack, Whitened, range_cells, restore_outliers, whiten,
 };
 use crate::noise::learning::{bends, parametric, registration, relief_law, repeated};
 use rockface_core::artefact::{
-    Band, Cameras, Contrast, Kind, LateralShift, MOST_GAP_GAIN, MOST_GAP_VARIETY, MOST_SKEWNESS_GAIN, Noise, Pairs,
-    Parametric, Raster, ReliefLaw,
+    Band, Cameras, Contrast, Kind, LateralShift, Noise, Pairs, Parametric, Raster, ReliefLaw,
 };
 use rockface_core::numerics::bands::Bands;
 use rockface_core::numerics::held_out::in_view;
@@ -433,61 +433,6 @@ impl Learnt {
     }
 }
 
-/// Share of gaps and skewness of rasters.
-struct Marks {
-    gaps: Mean,
-    /// Deviation of the share of gaps.
-    variety: f64,
-    /// Root mean square.
-    skewness: f64,
-}
-
-impl Marks {
-    fn of(rasters: &[impl AsRef<[f32]> + Sync], seen: &[bool]) -> Self {
-        let skewnesses = skewnesses(rasters);
-        let squares = skewnesses.iter().map(|skewness| skewness * skewness).sum::<f64>();
-        let gaps = Mean::of(&gaps(rasters, seen), 0);
-        let count = rasters.len() as f64;
-        Self { gaps, variety: (gaps.squared_error * count).sqrt(), skewness: (squares / count).sqrt() }
-    }
-
-    /// What the marks of one more of as many rasters vary.
-    fn of_another(self, rasters: usize) -> Self {
-        let wider = of_another(rasters).sqrt();
-        Self { variety: wider * self.variety, skewness: wider * self.skewness, ..self }
-    }
-}
-
-/// The gains of a model with which its draws have the marks of the rasters.
-#[derive(Debug, Clone, Copy)]
-struct Gains {
-    gaps: f64,
-    variety: f64,
-    skewness: f64,
-}
-
-impl Default for Gains {
-    /// What holds without filter and mixing: a difference of two acquisitions that are independent has half of their skewness, and a share of gaps that varies less than
-    /// theirs by sqrt 2.
-    fn default() -> Self {
-        Self { gaps: 1.0, variety: std::f64::consts::SQRT_2, skewness: 2.0 }
-    }
-}
-
-impl Gains {
-    /// Better gains, after draws with these have the marks that were found: outliers that are filtered out of draws leave gaps too, and take the tails that make them skewed.
-    fn refined(self, real: &Marks, found: &Marks) -> Self {
-        let excess = Departure::of(found.gaps, real.gaps.exact()).certain(1.0);
-        let gaps = if real.gaps.value > 0.0 { self.gaps - excess / real.gaps.value } else { self.gaps };
-        let times = |gain: f64, ratio: f64| if ratio.is_finite() { gain * ratio.clamp(0.5, 2.0) } else { gain };
-        Self {
-            gaps: gaps.clamp(0.0, MOST_GAP_GAIN),
-            variety: times(self.variety, real.variety / found.variety).min(MOST_GAP_VARIETY),
-            skewness: times(self.skewness, real.skewness / found.skewness).min(MOST_SKEWNESS_GAIN),
-        }
-    }
-}
-
 /// Donors of an acquisition for a number of rasters, half of which it may take them from.
 fn usual_donors(rasters: usize) -> usize {
     ((0.5 * rasters as f64).sqrt().round() as usize).max(2)
@@ -498,106 +443,6 @@ fn usual<'a>(whitened: &'a [Whitened], bad: &[bool]) -> Vec<&'a Whitened> {
     whitened.iter().zip(bad).filter(|(_, bad)| !**bad).map(|(w, _)| w).collect()
 }
 
-/// What the draws of a model say that it should have otherwise.
-struct Correction {
-    /// Part of the deviation of each figure that acquisitions differ by.
-    own: Vec<f64>,
-    /// How much the mean of the draws exceeds that of the rasters, figure by figure, without what may be chance.
-    excess: Vec<f64>,
-}
-
-impl Correction {
-    fn none(figures: usize) -> Self {
-        Self { own: vec![1.0; figures], excess: vec![0.0; figures] }
-    }
-
-    /// From the usual rasters and draws of a model whose acquisitions are all alike.
-    fn of(real: &[&Whitened], drawn: &[Whitened]) -> Self {
-        let drawn: Vec<&Whitened> = drawn.iter().collect();
-        Self { own: own_shares(real, &drawn), excess: excess(real, &drawn, Mean::of) }
-    }
-
-    /// Takes off what draws with this correction still miss of the mean and of the variety of the usual rasters, without what may be chance.
-    fn refine(&mut self, real: &[&Whitened], drawn: &[Whitened], known: &Known) {
-        let drawn: Vec<&Whitened> = drawn.iter().collect();
-        let excess = excess(real, &drawn, |rows, k| Mean::given(rows, k, &known.draws[k], known.usual[k]));
-        self.excess.iter_mut().zip(excess).for_each(|(all, more)| *all += more);
-        let wider = of_another(real.len());
-        let one = |(wanted, drawn): (f64, f64)| if wanted > 0.0 { (1.0 - drawn / wanted).max(-1.0) } else { 0.0 };
-        let lacking: Vec<f64> =
-            variances(real).into_iter().map(|real| wider * real).zip(variances(&drawn)).map(one).collect();
-        let (strengths, amplitudes) = lacking.split_at(lacking.len() - BANDS);
-        let mean = strengths.iter().sum::<f64>() / strengths.len() as f64;
-        let changes = strengths.iter().map(|_| mean).chain(near(amplitudes));
-        // Relative standard error of a variance of normal figures.
-        let relative = (2.0 / (drawn.len() as f64 - 1.0)).sqrt();
-        for (own, lacking) in self.own.iter_mut().zip(changes) {
-            let change = Departure { difference: lacking, error: relative * (1.0 - lacking) }.certain(1.0);
-            *own = (*own * *own + change).clamp(LEAST_OWN, MOST_OWN).sqrt();
-        }
-    }
-}
-
-/// What the figures of draws follow from: the strengths and amplitudes that their members have.
-struct Known {
-    /// Figure by figure, the mean of the two members of each draw.
-    draws: Vec<Vec<f64>>,
-    /// Figure by figure, the mean of all usual members.
-    usual: Vec<f64>,
-}
-
-impl Known {
-    /// Of the first draws of a model, none of which is bad.
-    fn of(noise: &Noise, shares: &Shares, count: usize) -> Self {
-        let figures = |member: &usize| {
-            let member = &noise.members[*member];
-            shares.apart(&member.log_strength, &member.log_amplitude)
-        };
-        let [first, second] = noise.orders.each_ref().map(|order| order.iter().map(figures).collect::<Vec<_>>());
-        let of_draw = |i: usize, k: usize| 0.5 * (first[i % first.len()][k] + second[i % second.len()][k]);
-        let all = 0..first[0].len();
-        Self {
-            draws: all.clone().map(|k| (0..count).map(|i| of_draw(i, k)).collect()).collect(),
-            usual: all.map(|k| Mean::of(&first, k).value).collect(),
-        }
-    }
-}
-
-/// How much the mean of draws, by `mean`, exceeds that of rasters, figure by figure, without what may be chance.
-fn excess(real: &[&Whitened], drawn: &[&Whitened], mean: impl Fn(&[Vec<f64>], usize) -> Mean) -> Vec<f64> {
-    let [real, drawn] = [real, drawn].map(|all| all.iter().map(|w| w.apart()).collect::<Vec<_>>());
-    // The mean of the rasters is what the draws should have: it is no estimate.
-    let departure = |k: usize| Departure::of(mean(&drawn, k), Mean::of(&real, k).exact());
-    (0..real[0].len()).map(|k| departure(k).certain(1.0)).collect()
-}
-
-/// Part of the deviation of each figure over the rasters that acquisitions differ by: what draws of acquisitions that are all alike vary is the
-/// chance of single fields, which every draw has anew. The part of each class of place is drawn halfway towards the mean of all, that of each
-/// band towards its neighbours, since few rasters say little of a variance.
-fn own_shares(real: &[&Whitened], alike: &[&Whitened]) -> Vec<f64> {
-    let wider = of_another(real.len());
-    let one =
-        |(real, chance): (f64, f64)| if real > 0.0 { (wider - chance / real).clamp(LEAST_OWN, wider) } else { 1.0 };
-    let shares: Vec<f64> = variances(real).into_iter().zip(variances(alike)).map(one).collect();
-    let (strengths, amplitudes) = shares.split_at(shares.len() - BANDS);
-    let mean = strengths.iter().sum::<f64>() / strengths.len() as f64;
-    let strengths = strengths.iter().map(|share| 0.5 * (share + mean));
-    strengths.chain(near(amplitudes)).map(f64::sqrt).collect()
-}
-
-/// Variance over rasters of each of their figures apart.
-fn variances(rasters: &[&Whitened]) -> Vec<f64> {
-    let rows: Vec<Vec<f64>> = rasters.iter().map(|raster| raster.apart()).collect();
-    (0..rows[0].len()).map(|k| Mean::of(&rows, k).squared_error * rows.len() as f64).collect()
-}
-
-/// Values of bands, each with half the weight and its neighbours with the rest.
-fn near(bands: &[f64]) -> Vec<f64> {
-    let last = bands.len() - 1;
-    let one = |k: usize| 0.25 * (bands[k.saturating_sub(1)] + 2.0 * bands[k] + bands[(k + 1).min(last)]);
-    (0..bands.len()).map(one).collect()
-}
-
 /// Rasters of surveys have less of their variance in common: those of three real faces have none.
 const COMMON: f64 = 0.25;
 /// Rounds in which what draws still miss is taken off.
@@ -606,10 +451,6 @@ const ROUNDS: usize = 2;
 const CONTRAST_DRAWS: usize = 12;
 /// Part of the deviation of figures that acquisitions have which are all alike.
 const ALIKE: f64 = 1e-6;
-/// Least and most of the variance of a figure over rasters that acquisitions differ by.
-const LEAST_OWN: f64 = 0.1;
-const MOST_OWN: f64 = 4.0;
-
 fn report(noise: &Noise, learnt: &Learnt, step_m: &[f32], context: &Context) {
     let known = marginal::known(step_m);
     let strengths: Vec<f64> = noise.strength.iter().map(|s| f64::from(*s)).collect();
