@@ -9,6 +9,7 @@ use rockface_core::artefact::{Artefact, Kind};
 use serde::{Deserialize, Serialize};
 
 use super::files::{failed, going_on, write_file};
+use super::side_by_side::each;
 use crate::history::output_folder;
 use crate::plan::Plan;
 use crate::run::{RunError, Summary};
@@ -68,25 +69,27 @@ impl LayOut {
         summary: &Summary,
         store: &Store,
         folder: &Path,
+        jobs: usize,
         stop: &AtomicBool,
     ) -> Result<Laid, RunError> {
         let counts = counts(plan, summary);
         let wanted = self.wanted(plan, &counts);
         let layer = Layer { plan, store, folder };
-        let mut laid = Laid::default();
-        for (instance, result) in summary.instances.iter().enumerate() {
+        let named_files = |instance: usize| {
             going_on(stop)?;
-            let is_target = plan.targets.binary_search(&instance).is_ok();
-            let outputs = match (&result.outcome, &result.failure) {
+            let result = &summary.instances[instance];
+            match (&result.outcome, &result.failure) {
                 (Some(outcome), _) if wanted[instance] => {
-                    layer.outputs(instance, &outcome.outputs, plan.step(instance).keep)?
+                    layer.outputs(instance, &outcome.outputs, plan.step(instance).keep)
                 }
                 // What explains a failure is always wanted.
-                (None, Some(failure)) => layer.outputs(instance, &failure.outputs, true)?,
-                _ => (Paths::new(), Vec::new()),
-            };
-            let (named, files) = outputs;
-            if is_target {
+                (None, Some(failure)) => layer.outputs(instance, &failure.outputs, true),
+                _ => Ok((Paths::new(), Vec::new())),
+            }
+        };
+        let mut laid = Laid::default();
+        for (instance, (named, files)) in each(jobs, summary.instances.len(), named_files)?.into_iter().enumerate() {
+            if plan.targets.binary_search(&instance).is_ok() {
                 let step = plan.instances[instance].step;
                 laid.of_targets.extend(files.iter().map(|(path, _)| (step, path.clone())));
             }

@@ -8,6 +8,7 @@ mod made;
 mod manifest_writer;
 mod run_folder;
 pub mod shortcut;
+mod side_by_side;
 mod tell;
 mod unfinished;
 

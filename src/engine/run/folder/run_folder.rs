@@ -17,6 +17,7 @@ use super::lay_out::{Laid, LayOut};
 use super::log::Telling;
 use super::made::{self, Made};
 use super::manifest_writer;
+use super::side_by_side::{both, each};
 use super::unfinished::{self, Unfinished};
 use crate::history::{
     CRATE_FILE, LOG_FILE, MANIFEST_FILE, Manifest, PIPELINE_FILE, POINTS_FILE, REPORT_FILE, RunContents,
@@ -206,7 +207,7 @@ impl Writer<'_> {
 
     /// Fills the folder, while the store makes durable what the folder reports.
     fn fill(&self, folder: &Path) -> Result<Finished, RunError> {
-        let (synced, filled) = self.beside(|| phase!("sync", self.store.sync()), || self.fill_in(folder))?;
+        let (synced, filled) = both(self.about.jobs, || phase!("sync", self.store.sync()), || self.fill_in(folder))?;
         let Filled { manifest, headlines, warnings, laid } = filled?;
         synced?;
         // A folder with a manifest is whole, after a power cut too.
@@ -222,7 +223,8 @@ impl Writer<'_> {
     /// Writes all files of the folder; the manifest has yet to be given its name.
     fn fill_in(&self, folder: &Path) -> Result<Filled, RunError> {
         phase!("fetch", self.bring())?;
-        let lay_out = || self.about.lay_out.lay_out(self.plan, self.summary, self.store, folder, self.stop);
+        let lay_out =
+            || self.about.lay_out.lay_out(self.plan, self.summary, self.store, folder, self.about.jobs, self.stop);
         let laid = phase!("lay out", lay_out())?;
         let logs = self.logs()?;
         let headlines = headlines::headlines(self.plan, &logs);
@@ -265,25 +267,8 @@ impl Writer<'_> {
             write_file(&folder.join(CRATE_FILE), format!("{described}\n").as_bytes())?;
             phase!("manifest", durable(&folder.join(MANIFEST_FILE), |file| manifest.write(file)))
         };
-        let (logged, manifest) = self.beside(|| phase!("log", self.log(folder, logs, laid)), told)?;
+        let (logged, manifest) = both(self.about.jobs, || phase!("log", self.log(folder, logs, laid)), told)?;
         logged.and(manifest)
-    }
-
-    /// Does two things at once, the second in this thread; one after the other if there is to be one job.
-    fn beside<A: Send, B>(
-        &self,
-        other: impl FnOnce() -> A + Send,
-        own: impl FnOnce() -> B,
-    ) -> Result<(A, B), RunError> {
-        if self.about.jobs < 2 {
-            return Ok((other(), own()));
-        }
-        std::thread::scope(|scope| {
-            let other = std::thread::Builder::new().spawn_scoped(scope, other);
-            let other = other.map_err(|error| RunError::Threads(error.to_string()))?;
-            let own = own();
-            Ok((other.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)), own))
-        })
     }
 
     /// Writes the page of the run.
@@ -313,15 +298,8 @@ impl Writer<'_> {
 
     /// The log of each instance.
     fn logs(&self) -> Result<Vec<Vec<Entry>>, RunError> {
-        let read = |part: &[usize]| -> Result<Vec<_>, RunError> {
-            part.iter().map(|instance| going_on(self.stop).and_then(|()| self.entries(*instance))).collect()
-        };
-        let instances: Vec<usize> = (0..self.summary.instances.len()).collect();
-        let (former, latter) = instances.split_at(instances.len() / 2);
-        let (latter, former) = self.beside(|| read(latter), || read(former))?;
-        let mut logs = former?;
-        logs.extend(latter?);
-        Ok(logs)
+        let read = |instance| going_on(self.stop).and_then(|()| self.entries(instance));
+        each(self.about.jobs, self.summary.instances.len(), read)
     }
 
     /// The log of an instance. A lost one is recomputed with its step; one that cannot be read then is no reason to lose the run folder.
