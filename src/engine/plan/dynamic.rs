@@ -228,7 +228,9 @@ impl Plan {
             "axis `{}` takes its items from `{list}`, and the lists differ: at [{first}] {here}, at [{point}] {there}",
             own.name.text
         );
-        let hint = format!("make lists with the same items in the same order, or pick one: `{list}[{first}]`");
+        let hint = format!(
+            "make lists with the same items in the same order, or pick one: `{list}[{first}]`; of a parameter that changes the list, such as a number of images, make a run of each value by `--set` and hold them side by side by `runs compare`"
+        );
         Err(vec![Diagnostic::at(own.from.as_ref().map_or(own.name.span, |from| from.span), message).hint(hint)])
     }
 

@@ -16,7 +16,7 @@ pub struct Pair {
     pub distance_m: f64,
     /// Angle between the optical axes, radians.
     pub convergence_rad: f64,
-    /// Share of the first image's footprint the second sees, 0 to 1.
+    /// Share of the face that one image sees which the other sees too, the smaller of both, 0 to 1.
     pub overlap: f64,
 }
 

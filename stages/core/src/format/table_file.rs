@@ -3,6 +3,7 @@
 use std::collections::BTreeSet;
 
 use crate::artefact::{Cell, CodecError, Table};
+use crate::format::utf8;
 use crate::limits;
 
 /// Characters that separate cells, the likeliest first.
@@ -23,7 +24,7 @@ const LISTED: usize = 20;
 /// The line at fault: no header, two columns of one name, a row of another length, text that is not UTF-8, more than 16384
 /// columns, more cells than the limit of memory allows; `cancelled` became true.
 pub fn read(bytes: &[u8], cancelled: &dyn Fn() -> bool) -> Result<Table, CodecError> {
-    let text = std::str::from_utf8(bytes).map_err(|e| CodecError::new(format!("it is no UTF-8 text: {e}")))?;
+    let text = utf8(bytes)?;
     let text = text.trim_start_matches('\u{feff}').trim_start_matches("//").trim_start_matches('#');
     let header = text.lines().next().unwrap_or_default();
     let separator =

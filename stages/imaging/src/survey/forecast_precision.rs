@@ -54,7 +54,7 @@ pub struct ForecastPrecision;
 impl Stage for ForecastPrecision {
     type Params = ForecastPrecisionParams;
     const NAME: &'static str = "forecast-precision";
-    const VERSION: u32 = 5;
+    const VERSION: u32 = 6;
     const PAGE: Page = Page::new(include_str!("forecast_precision.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("cameras", &[Kind::Cameras], "The planned block."),
@@ -371,13 +371,24 @@ fn simulated(raster: &Raster) -> Option<[f64; 2]> {
     Some([spread.deviation, spread.nmad])
 }
 
+/// Deviations of a difference in NMADs beyond which there are changes in it: noise with heavy tails stays below.
+const CHANGED: f64 = 3.0;
+
 fn report(all: &Forecast, compared: Option<(Forecast, [f64; 2])>, context: &Context) {
     let sigma = all.sigma_m();
     context.metric("gsd", all.gsd_m, "m");
     context.metric("sigma_z", sigma, "m");
     context.metric("lod95", lod95(sigma), "m");
     context.metric("median_lod95", all.median_lod95_m(), "m");
-    let compared = compared.map_or_else(String::new, |(there, [std, _])| {
+    let compared = compared.map_or_else(String::new, |(there, [std, nmad])| {
+        if nmad > 0.0 && std > CHANGED * nmad {
+            context.warn(format!(
+                "the simulated difference deviates by {:.2} mm, {:.1} times its NMAD: there are changes in it, such as rockfalls, or outliers; the \
+                 forecast is of a face without change",
+                1000.0 * std,
+                std / nmad
+            ));
+        }
         let expected = std::f64::consts::SQRT_2 * there.sigma_m();
         context.metric("simulated_to_forecast", std / expected, "1");
         let (std, expected, ratio) = (1000.0 * std, 1000.0 * expected, std / expected);

@@ -82,7 +82,8 @@ impl<'a> Views<'a> {
     /// The pair of two images (i < j in block order), ordered so that the second lies in the direction of image x.
     ///
     /// With `b = (C2 - C1) / B` and `m` the sum of the optical axes, a pair with `|m - (m.b) b| < 0.1` looks along its
-    /// baseline, and so does one with an axis whose cosine to that direction is below 0.1. Overlap is the share of the sampled vertices in the first image that lie in the second too.
+    /// baseline, and so does one with an axis whose cosine to that direction is below 0.1. Overlap is the
+    /// share of the sampled vertices in one image that lie in the other too: the smaller of both, so that it is the same either way round.
     pub fn pair(&self, i: usize, j: usize) -> Result<Pair, NoPair> {
         let images = &self.cameras.images;
         let baseline = images[j].centre() - images[i].centre();
@@ -117,13 +118,13 @@ impl<'a> Views<'a> {
         self.depths[i].iter().zip(&self.depths[j]).filter(|(a, b)| a.is_some() && b.is_some()).count()
     }
 
-    /// Share of the first image's vertices in the second, and the mean depth (m) of the shared ones in both.
+    /// The smaller of the shares that two images have of each other's vertices, and the mean depth (m) of the shared ones in both.
     fn shared(&self, first: usize, second: usize) -> Option<(f64, f64)> {
-        let seen = self.depths[first].iter().flatten().count();
+        let seen = [first, second].map(|image| self.depths[image].iter().flatten().count());
         let both = self.depths[first].iter().zip(&self.depths[second]);
         let depths: Vec<f64> = both.filter_map(|(a, b)| Some(0.5 * ((*a)? + (*b)?))).collect();
         let shared = depths.len() as f64;
-        (!depths.is_empty()).then(|| (shared / seen as f64, depths.iter().sum::<f64>() / shared))
+        (!depths.is_empty()).then(|| (shared / seen[0].max(seen[1]) as f64, depths.iter().sum::<f64>() / shared))
     }
 }
 

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use crate::survey::overlap::{NoPair, Views};
 use rockface_core::artefact::{Cameras, Kind, Mesh, Pair, Pairs};
+use rockface_core::numerics::union_find::UnionFind;
 use rockface_core::params::{Fault, Range};
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
 
@@ -13,7 +14,7 @@ const SAMPLES: usize = 20_000;
 params! {
     /// Parameters of `select-pairs`.
     pub struct SelectPairsParams {
-        /// Smallest share of the first image's part of the face that the second must see.
+        /// Smallest share of its part of the face that each image of a pair must have in common with the other.
         min_overlap: f64 = 0.5; Range::Between(0.0, 1.0),
         /// Smallest ratio of baseline to distance.
         min_base_to_distance: f64 = 0.05; Range::NonNegative,
@@ -21,7 +22,8 @@ params! {
         max_base_to_distance: f64 = 1.0; Range::Positive,
         /// Largest angle between the optical axes, degrees.
         max_convergence_deg: f64 = 45.0; Range::Between(0.0, 180.0),
-        /// Most pairs of an image: those of the largest overlap are taken first, as long as both images have room; null: no limit.
+        /// Most pairs of an image: first those of the largest overlap that join images no chain of pairs connects yet, then the others of the largest
+        /// overlap, as long as both images have room; null: no limit.
         neighbours: Option<u32> = None; Range::AtLeast(1.0),
         /// Pairs by hand, each `a+b`, whatever the limits say; null: every pair within the limits.
         list: Option<Vec<String>> = None,
@@ -34,7 +36,7 @@ pub struct SelectPairs;
 impl Stage for SelectPairs {
     type Params = SelectPairsParams;
     const NAME: &'static str = "select-pairs";
-    const VERSION: u32 = 5;
+    const VERSION: u32 = 6;
     const PAGE: Page = Page::new(include_str!("select_pairs.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("cameras", &[Kind::Cameras], "The true orientation."),
@@ -174,24 +176,60 @@ fn within_limits(
     if chosen.is_empty() {
         return Err(none(params, n, &left_out));
     }
-    Ok(params.neighbours.map_or(chosen.clone(), |most| nearest(&chosen, most)))
+    let Some(most) = params.neighbours else { return Ok(chosen) };
+    let kept = nearest(&chosen, most);
+    let [parts, all_parts] = [&kept, &chosen].map(|pairs| groups(pairs));
+    if parts > all_parts {
+        context.warn(format!(
+            "with {most} pairs of an image at most (`neighbours`) the images fall into {parts} groups that no pair joins, all pairs within \
+             the limits make {all_parts}: a difference is noisier where groups meet; raise `neighbours`"
+        ));
+    }
+    Ok(kept)
 }
 
-/// At most `most` pairs of each image: those of the largest overlap are kept first; the order does not change.
+/// At most `most` pairs of each image, in the order given. Pairs of the largest overlap come first, in two rounds: those that join two
+/// groups of images, so that a strip does not fall apart where its images overlap less, and then the others.
 fn nearest(pairs: &[Pair], most: u32) -> Vec<Pair> {
     let mut order: Vec<usize> = (0..pairs.len()).collect();
     order.sort_by(|a, b| pairs[*b].overlap.total_cmp(&pairs[*a].overlap).then(a.cmp(b)));
-    let mut taken: BTreeMap<&str, u32> = BTreeMap::new();
+    let (ends, images) = numbered(pairs);
+    let (mut sets, mut taken) = (UnionFind::new(images), vec![0; images]);
     let mut kept = Vec::new();
-    for index in order {
-        let images = [pairs[index].first.as_str(), pairs[index].second.as_str()];
-        if images.iter().all(|image| taken.get(image).is_none_or(|count| *count < most)) {
-            images.into_iter().for_each(|image| *taken.entry(image).or_default() += 1);
-            kept.push(index);
+    for joining in [true, false] {
+        for index in &order {
+            let [a, b] = ends[*index];
+            let joins = sets.root(a) != sets.root(b);
+            if joins == joining && taken[a] < most && taken[b] < most {
+                sets.join(a, b);
+                (taken[a], taken[b]) = (taken[a] + 1, taken[b] + 1);
+                kept.push(*index);
+            }
         }
     }
     kept.sort_unstable();
     kept.into_iter().map(|index| pairs[index].clone()).collect()
+}
+
+/// The two images of each pair as numbers, and how many images there are.
+fn numbered(pairs: &[Pair]) -> (Vec<[usize; 2]>, usize) {
+    let mut numbers: BTreeMap<&str, usize> = BTreeMap::new();
+    let mut number = |image| {
+        let next = numbers.len();
+        *numbers.entry(image).or_insert(next)
+    };
+    let ends = pairs.iter().map(|pair| [number(pair.first.as_str()), number(pair.second.as_str())]).collect();
+    (ends, numbers.len())
+}
+
+/// How many groups of images there are that chains of pairs connect.
+fn groups(pairs: &[Pair]) -> usize {
+    let (ends, images) = numbered(pairs);
+    let mut sets = UnionFind::new(images);
+    ends.into_iter().for_each(|[a, b]| {
+        sets.join(a, b);
+    });
+    (0..images).filter(|image| sets.root(*image) == *image).count()
 }
 
 /// The parameters whose limits a pair exceeds.
@@ -320,6 +358,45 @@ mod tests {
         let pairs = chosen(json!({"min_overlap": 0.1, "neighbours": 2}));
         assert_eq!(names(&pairs), ["a+b", "a+d", "b+c", "c+d"]);
         assert_eq!(names(&chosen(json!({"min_overlap": 0.1, "neighbours": 1}))), ["a+b", "c+d"]);
+    }
+
+    /// Two rows of images before a face that ends soon after them.
+    fn block(columns: u8) -> Cameras {
+        let name = |row: u8, column: u8| format!("{}{column}", if row == 0 { "a" } else { "b" });
+        let names: Vec<String> = (0..2).flat_map(|row| (0..columns).map(move |column| name(row, column))).collect();
+        let places =
+            (0..2u8).flat_map(|_| 0..columns).map(|column| 5.0 * (f64::from(column) - 0.5 * f64::from(columns - 1)));
+        let mut cameras = row(&names.iter().map(String::as_str).zip(places).collect::<Vec<_>>());
+        let count = usize::from(columns);
+        cameras
+            .images
+            .iter_mut()
+            .enumerate()
+            .for_each(|(i, image)| image.centre_m[1] = if i < count { -1.0 } else { 1.0 });
+        cameras
+    }
+
+    #[test]
+    fn a_symmetric_block_is_one_group_and_its_ends_have_as_many_pairs() {
+        for (columns, most) in [(4, 3), (6, 3), (6, 4), (9, 3)] {
+            let cameras = block(columns);
+            let host = TestHost::default();
+            let with = json!({"min_overlap": 0.1, "neighbours": most});
+            let (pairs, _) = select_on(&host, &cameras, face(Frame::Wall), &with).unwrap();
+            assert_eq!((groups(&pairs), host.warnings()), (1, Vec::new()), "{columns} {most}: {:?}", names(&pairs));
+        }
+        let all = select(&block(4), face(Frame::Wall), &json!({"min_overlap": 0.1})).unwrap();
+        let overlap = |name: &str| all.iter().find(|pair| pair.name == name).unwrap().overlap;
+        assert!((overlap("a0+a1") - overlap("a2+a3")).abs() < 0.02, "{} {}", overlap("a0+a1"), overlap("a2+a3"));
+    }
+
+    #[test]
+    fn a_block_that_falls_apart_is_warned_of() {
+        let host = TestHost::default();
+        let with = json!({"min_overlap": 0.1, "neighbours": 1});
+        let (pairs, _) = select_on(&host, &block(4), face(Frame::Wall), &with).unwrap();
+        assert_eq!(groups(&pairs), 4);
+        assert!(host.warnings()[0].contains("fall into 4 groups"), "{:?}", host.warnings());
     }
 
     #[test]

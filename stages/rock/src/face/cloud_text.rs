@@ -5,6 +5,7 @@ use super::column_marks::{Halves, number, numbers, shown};
 use super::column_names;
 use super::separators::{Separator, without_brackets};
 use rockface_core::artefact::CodecError;
+use rockface_core::format::utf8;
 use rockface_core::limits::Stop;
 
 /// Reads a point a line, columns set apart by blanks, commas or semicolons. Commas are decimal marks where blanks or semicolons
@@ -23,7 +24,7 @@ use rockface_core::limits::Stop;
 /// The line at fault: a header without x, y and z, another number of columns than before, a word that is no number, a
 /// coordinate that is not finite, commas that may be separators as well as decimal marks; `cancelled` became true.
 pub fn read(bytes: &[u8], columns: Option<&[String]>, cancelled: &dyn Fn() -> bool) -> Result<Cloud, CodecError> {
-    let text = std::str::from_utf8(bytes).map_err(|e| CodecError(format!("byte {} is not text", e.valid_up_to())))?;
+    let text = utf8(bytes)?;
     let text = text.strip_prefix('\u{feff}').unwrap_or(text);
     let mut reader = Columns::default();
     if let Some(names) = columns {
