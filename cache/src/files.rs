@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::{At, StoreError};
 use crate::frame::Kind;
-use crate::{Digest, Store};
+use crate::{Digest, Store, plain};
 
 /// A file modified less than this before it was read may be modified again without its time changing.
 const RACY: Duration = Duration::from_secs(2);
@@ -120,7 +120,11 @@ impl Store {
             if is_settled(&before, started) {
                 let payload = serde_json::to_vec(&(fingerprint, digest));
                 let payload = payload.map_err(std::io::Error::from).at("remember", path)?;
-                self.append(Kind::File, *key, &payload)?;
+                match self.append(Kind::File, *key, &payload) {
+                    // What may not be remembered, since the store can only be read, is hashed again next time.
+                    Err(StoreError::Io { source, .. }) if plain::is_refused(&source) => {}
+                    remembered => remembered?,
+                }
             }
             return Ok(FileDigest { digest, bytes });
         }

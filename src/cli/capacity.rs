@@ -25,7 +25,8 @@ pub struct CapacityArgs {
 #[derive(Debug, Args)]
 pub struct MemoryArgs {
     /// Memory for values passed between steps and for running steps, in GiB or with a unit (500MB); values beyond it are
-    /// spilled to disk [default: half of the memory of the machine, or of the container].
+    /// spilled to disk [default: half of the memory of the machine, or of the container
+    /// or batch job].
     #[arg(long, value_name = "GiB", value_parser = memory, allow_hyphen_values = true)]
     memory: Option<Memory>,
 }

@@ -87,6 +87,7 @@ impl RunArgs {
             return Err(CliError::Usage(told.to_owned()));
         }
         self.pipeline.no_programs = self.programs.are_refused();
+        self.check_paths()?;
         let text = self.pipeline.read()?;
         let question = self.question(&text);
         if let Some(told) = self.recall(question.as_ref())? {
@@ -169,6 +170,19 @@ impl RunArgs {
         }
     }
 
+    /// The record of a run is a text, and it names these places.
+    fn check_paths(&self) -> Result<(), CliError> {
+        let (here, store) = (std::env::current_dir().unwrap_or_default(), self.pipeline.store_dir());
+        let places = [Some(here.as_path()), Some(&self.pipeline.pipeline), Some(&store), self.runs.as_deref()];
+        match places.into_iter().flatten().find(|place| place.to_str().is_none()) {
+            Some(place) => Err(CliError::Usage(format!(
+                "`{}` is no UTF-8 text, and the record of a run has to name it: rename the folder or file, or give another one",
+                place.display()
+            ))),
+            None => Ok(()),
+        }
+    }
+
     /// The digest of everything that decides the result of this command; `None` if every step instance has to be printed.
     fn question(&self, text: &str) -> Option<Digest> {
         let is_repetition = self.pipeline.text.is_some() && !self.pipeline.shipped;
@@ -185,10 +199,12 @@ impl RunArgs {
         let arguments: Vec<_> = std::env::args_os().skip(1).collect();
         let program = rockface_engine::version::state_of_program()?;
         let place = (std::env::current_dir().ok()?, self.pipeline.store_dir(), &self.runs, self.pipeline.remote.url());
-        let question = serde_json::json!([program, place, Digest::of(text.as_bytes())]).to_string();
         // The search path decides which programs the steps run, this variable which Python.
         let search = ["PATH", "ROCKFACE_PYTHON"].map(std::env::var_os);
-        Some(Digest::of(format!("{question} {arguments:?} {search:?}").as_bytes()))
+        // Paths may be no text: they are asked for as they are written in Rust, which is one of a kind.
+        Some(Digest::of(
+            format!("{program} {place:?} {} {arguments:?} {search:?}", Digest::of(text.as_bytes())).as_bytes(),
+        ))
     }
 
     fn recall(&self, question: Option<&Digest>) -> Result<Option<Told>, CliError> {

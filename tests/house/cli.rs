@@ -104,6 +104,23 @@ fn exit_codes_tell_what_is_wrong() {
 }
 
 #[test]
+fn a_place_that_is_no_text_is_refused_in_words() {
+    use std::os::unix::ffi::OsStrExt;
+    let house = House::new(SMALL);
+    let odd = std::ffi::OsStr::from_bytes(b"odd\xff");
+    for option in ["--store", "--runs"] {
+        let output = house.command(&["run", "p.yaml", option]).arg(odd).output().unwrap();
+        let err = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(output.status.code() == Some(2) && err.contains("is no UTF-8 text"), "{option}: {err}");
+    }
+    let inside = house.path(odd.to_string_lossy().as_ref()).with_file_name(odd);
+    std::fs::create_dir(&inside).unwrap();
+    std::fs::copy(house.path("p.yaml"), inside.join("p.yaml")).unwrap();
+    let output = house.command(&["run", "p.yaml"]).current_dir(&inside).output().unwrap();
+    assert_eq!(output.status.code(), Some(2), "{}", String::from_utf8_lossy(&output.stderr));
+}
+
+#[test]
 fn numbers_that_cannot_be_are_refused_with_those_that_can() {
     let house = House::new(SMALL);
     for (arguments, way) in [

@@ -21,7 +21,8 @@ pub fn mark(pieces: &[&[u8]]) -> Option<Digest> {
 /// `rockface` in the folder in which programs keep their state; see the XDG base directory specification.
 fn state_folder() -> Option<PathBuf> {
     let variable = |name: &str| std::env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
-    let state = variable("XDG_STATE_HOME").or_else(|| Some(variable("HOME")?.join(".local/state")))?;
+    let state = variable("XDG_STATE_HOME")
+        .or_else(|| Some(variable("HOME").filter(|home| home.is_dir())?.join(".local/state")))?;
     Some(state.join("rockface"))
 }
 

@@ -155,6 +155,12 @@ impl Shared {
         if found == FORMAT {
             return Ok(());
         }
+        if found.starts_with("rockface store ") {
+            let why =
+                "it is a store, not a remote place: give it as `--store`, or copy from it with `rockface store push`"
+                    .to_owned();
+            return Err((READ, BackendError::Foreign(why)));
+        }
         let why = format!("its format is `{}` and this version uses `{FORMAT}`", found.escape_debug());
         Err((READ, BackendError::Foreign(why)))
     }

@@ -1,5 +1,6 @@
-//! The memory of the machine, or of the container that the process runs in, and that of a process.
+//! The memory of the machine, or of the container or job of a batch system that the process runs in, and that of a process.
 
+use super::cgroup;
 use sysinfo::{MemoryRefreshKind, System};
 
 /// How much memory there is and how much of it is left, bytes.
@@ -20,11 +21,10 @@ impl MachineMemory {
         if machine.total == 0 {
             return None;
         }
-        let container = system.cgroup_limits().map(|limits| (limits.total_memory, limits.rss));
-        Some(container.map_or(machine, |(total, used)| machine.within(total, used)))
+        Some(cgroup::usages().into_iter().fold(machine, |machine, [total, used]| machine.within(total, used)))
     }
 
-    /// What of it is for a container that may use `total` and uses `used`, bytes.
+    /// What of it is for a container or a job that may use `total` and uses `used`, bytes.
     fn within(self, total: u64, used: u64) -> Self {
         Self { total: self.total.min(total), left: self.left.min(total.saturating_sub(used)) }
     }

@@ -1,5 +1,6 @@
 //! Running a plan: the scheduler, its workers, and the run folder.
 
+mod cgroup;
 mod folder;
 mod machine;
 mod scheduler;
