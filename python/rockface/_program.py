@@ -31,6 +31,8 @@ def find() -> Path:
     if named:
         if not Path(named).is_file():
             raise ProgramError(f"{VARIABLE} names `{named}`, which is no file")
+        if not os.access(named, os.X_OK):
+            raise ProgramError(f"{VARIABLE} names `{named}`, which is no program that you may run")
         return Path(named)
     schemes = (None, "posix_user")
     folders = [sysconfig.get_path("scripts", scheme) if scheme else sysconfig.get_path("scripts") for scheme in schemes]

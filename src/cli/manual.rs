@@ -7,7 +7,7 @@ use rockface_core::Registry;
 use rockface_engine::watch::events;
 
 use super::own_file::{check_place, failed, folder_of, write_own};
-use super::{Cli, CliError, parts, say, stages};
+use super::{Cli, CliError, EXIT_CODES, environment, parts, say, stages};
 use rockface_engine::pipeline::Pipeline;
 
 /// The first line of every chapter, for those who want to edit one.
@@ -88,11 +88,33 @@ fn man_pages() -> Result<Vec<(String, Vec<u8>)>, CliError> {
     let page = |command: clap::Command| {
         let name = command.get_bin_name().unwrap_or_default().replace(' ', "-");
         let mut bytes = Vec::new();
-        let page = clap_mangen::Man::new(command.display_name(name.clone())).title(name.to_uppercase());
-        page.source("rockface").manual("rockface").render(&mut bytes).map_err(CliError::Output)?;
-        Ok((format!("{name}.1"), bytes))
+        let page = clap_mangen::Man::new(command.display_name(name.clone()));
+        page.render(&mut bytes).map_err(CliError::Output)?;
+        Ok((format!("{name}.1"), finished_page(&name, &String::from_utf8_lossy(&bytes)).into_bytes()))
     };
     commands().into_iter().map(page).collect()
+}
+
+/// A page with its heading, without references to `help`, which has no page, and with what holds for all commands at its end.
+fn finished_page(name: &str, page: &str) -> String {
+    let version = env!("CARGO_PKG_VERSION");
+    let title = format!(".TH {} 1 \"\" \"rockface {version}\" \"User Commands\"", name.to_uppercase());
+    let heading = |line: &str| match line {
+        line if line.starts_with(".TH ") => title.clone(),
+        ".SH EXTRA" if name == "rockface" => ".SH \"EXIT STATUS\"".to_owned(),
+        line => line.to_owned(),
+    };
+    let mut entries: Vec<String> = page.lines().map(heading).collect();
+    // An entry of a command is three lines: the macro, its name, what it does.
+    let help = format!("{}\\-help(1)", name.replace('-', "\\-"));
+    if let Some(at) = entries.iter().position(|line| *line == help) {
+        entries.drain(at - 1..=at + 1);
+    }
+    let see = format!(
+        ".SH \"EXIT STATUS\"\n{EXIT_CODES}\n.SH \"SEE ALSO\"\nrockface(1), which lists the variables of the environment\n"
+    );
+    let last = if name == "rockface" { environment::section() } else { see };
+    format!("{}\n{last}", entries.join("\n"))
 }
 
 /// The chapters that the program writes, by their paths in the folder `docs/reference`.
@@ -101,6 +123,13 @@ fn reference(registry: &Registry) -> Result<Vec<(String, Vec<u8>)>, CliError> {
         ("commands.md".to_owned(), commands_chapter()),
         ("stages.md".to_owned(), stages_chapter(registry)),
         ("parts.md".to_owned(), parts_chapter(registry)?),
+        (
+            "environment.md".to_owned(),
+            format!(
+                "{WRITTEN}# Variables of the environment\n\nOptions have precedence over them.\n\n{}",
+                environment::table()
+            ),
+        ),
         ("events.md".to_owned(), format!("{WRITTEN}{}", events::chapter())),
         ("events.schema.json".to_owned(), schema_text() + "\n"),
     ];

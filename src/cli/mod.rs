@@ -3,6 +3,7 @@
 mod candidates;
 mod capacity;
 mod completions;
+mod environment;
 mod expected_work;
 mod explain;
 mod export;
@@ -57,12 +58,15 @@ use rockface_engine::pipeline::{Overrides, Pipeline};
 use rockface_engine::plan::{Graph, Plan};
 use rockface_engine::run::RunError;
 
+/// What the program tells by its exit code.
+const EXIT_CODES: &str = "Exit codes: 0 done, 1 a step failed, 2 the command or pipeline is wrong, 3 the store or disk failed, 130 interrupted.";
+
 /// Simulates photogrammetric rockfall monitoring: runs pipelines of stages and caches every output.
 #[derive(Debug, Parser)]
 #[command(
     version = rockface_engine::version::TEXT,
     about,
-    after_help = "Exit codes: 0 done, 1 a step failed, 2 the command or pipeline is wrong, 3 the store or disk failed, 130 interrupted."
+    after_help = EXIT_CODES
 )]
 pub struct Cli {
     #[command(subcommand)]
