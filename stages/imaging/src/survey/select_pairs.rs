@@ -194,21 +194,19 @@ fn nearest(pairs: &[Pair], most: u32) -> Vec<Pair> {
     let mut order: Vec<usize> = (0..pairs.len()).collect();
     order.sort_by(|a, b| pairs[*b].overlap.total_cmp(&pairs[*a].overlap).then(a.cmp(b)));
     let (ends, images) = numbered(pairs);
-    let (mut sets, mut taken) = (UnionFind::new(images), vec![0; images]);
-    let mut kept = Vec::new();
+    let (mut sets, mut taken, mut kept) = (UnionFind::new(images), vec![0; images], vec![false; pairs.len()]);
     for joining in [true, false] {
         for index in &order {
             let [a, b] = ends[*index];
-            let joins = sets.root(a) != sets.root(b);
-            if joins == joining && taken[a] < most && taken[b] < most {
+            let is_wanted = !kept[*index] && (!joining || sets.root(a) != sets.root(b));
+            if is_wanted && taken[a] < most && taken[b] < most {
                 sets.join(a, b);
                 (taken[a], taken[b]) = (taken[a] + 1, taken[b] + 1);
-                kept.push(*index);
+                kept[*index] = true;
             }
         }
     }
-    kept.sort_unstable();
-    kept.into_iter().map(|index| pairs[index].clone()).collect()
+    pairs.iter().zip(kept).filter(|(_, kept)| *kept).map(|(pair, _)| pair.clone()).collect()
 }
 
 /// The two images of each pair as numbers, and how many images there are.
@@ -384,6 +382,12 @@ mod tests {
             let with = json!({"min_overlap": 0.1, "neighbours": most});
             let (pairs, _) = select_on(&host, &cameras, face(Frame::Wall), &with).unwrap();
             assert_eq!((groups(&pairs), host.warnings()), (1, Vec::new()), "{columns} {most}: {:?}", names(&pairs));
+            let mut once = names(&pairs);
+            once.sort_unstable();
+            once.dedup();
+            assert_eq!(once.len(), pairs.len(), "{:?}", names(&pairs));
+            let of = |image: &str| pairs.iter().filter(|pair| [&*pair.first, &*pair.second].contains(&image)).count();
+            assert!(cameras.images.iter().all(|image| (1..=most).contains(&of(&image.name))), "{:?}", names(&pairs));
         }
         let all = select(&block(4), face(Frame::Wall), &json!({"min_overlap": 0.1})).unwrap();
         let overlap = |name: &str| all.iter().find(|pair| pair.name == name).unwrap().overlap;
