@@ -174,7 +174,7 @@ impl<'d> Resolver<'d> {
                 let known = self.available.iter().map(|stage| stage.name());
                 let fault = Diagnostic::at(step.stage.span, format!("unknown stage `{}`", step.stage.text));
                 let fault = self.suggest(fault, &step.stage.text, || known);
-                // Only names of parts have a slash.
+                // Names of stages have no slash, those of parts that come with the program do.
                 let is_part = step.stage.text.contains('/');
                 self.faults.push(if is_part { fault.hint("a part is named by `use`, not by `stage`") } else { fault });
             }

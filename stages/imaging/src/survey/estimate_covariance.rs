@@ -279,7 +279,7 @@ fn object_points(
     }
     let control_sigma_px = params.control_sigma_px.unwrap_or(sigma_px);
     let control = match surveyed {
-        Some(surveyed) => measured(surveyed, &visibility, control_sigma_px, cameras.frame, context)?,
+        Some(surveyed) => measured(surveyed, &visibility, control_sigma_px, cameras, context)?,
         None => control_points(&points, &visibility, params.control_points, control_sigma_px, params.control_sigma_m),
     };
     points.extend(control);
@@ -310,7 +310,7 @@ fn measured(
     surveyed: &[Surveyed],
     visibility: &Visibility,
     sigma_px: f64,
-    frame: Frame,
+    cameras: &Cameras,
     context: &Context,
 ) -> Result<Vec<ObjectPoint>, StageError> {
     if surveyed.is_empty() {
@@ -328,13 +328,21 @@ fn measured(
         points.push(ObjectPoint { position_m: *position_m, images, sigma_px, control_weight: Some(*weight) });
     }
     if points.is_empty() {
-        let message = format!("no point of `control`, of {} in it, is seen by two images", surveyed.len());
+        let from_camera = |position_m: Vector3<f64>| {
+            cameras.images.iter().map(move |image| (image.centre() - position_m).norm()).fold(f64::INFINITY, f64::min)
+        };
+        let nearest_m = surveyed.iter().map(|point| from_camera(point.position_m)).fold(f64::INFINITY, f64::min);
+        let message = format!(
+            "no point of `control`, of {} in it, is seen by two images; the nearest is {nearest_m:.1} m from a camera",
+            surveyed.len()
+        );
         let hint = if hidden > 0 {
             "they project into the images and are behind the mesh by more than half a metre: their frame, or the mesh, is another"
-        } else if frame == Frame::Wall {
-            "they have to be in the wall frame, as the cameras are: points in map coordinates need `transform` of `transform-crs` here"
+        } else if cameras.frame == Frame::Wall {
+            "they have to be in the wall frame, as the cameras are: points in map coordinates need `transform` of `transform-crs` here; with it, look for eastings and \
+             northings that are swapped, and for wrong digits"
         } else {
-            "they have to be in the frame of the cameras, in metres"
+            "they have to be in the frame of the cameras, in metres: look for eastings and northings that are swapped, and for wrong digits"
         };
         return Err(StageError::new(message).hint(hint));
     }
