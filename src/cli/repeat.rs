@@ -6,6 +6,7 @@ use std::sync::Arc;
 
 use rockface_cache::Digest;
 
+use super::output::complain;
 use super::{CliError, PipelineArgs};
 use rockface_engine::history::{Manifest, StepDone};
 use rockface_engine::pipeline::{Copied, is_same_axis, is_set_by, is_swept_by, without_detours};
@@ -26,13 +27,39 @@ impl PipelineArgs {
         if let Some(former) = &former {
             let copied = former.copied_inputs(&self.pipeline);
             let copy = copied.as_ref().map(|copied| copied.to.clone());
+            let moved = moved_to(former, &self.pipeline).filter(|_| copied.is_none());
             take_over(self, former, copied);
+            if let Some(now) = moved {
+                let before = &former.pipeline.folder;
+                complain(&format!(
+                    "note: {} is gone, where this run was made; it is repeated in {}",
+                    before.display(),
+                    now.display()
+                ));
+                self.pipeline = now.join(former.pipeline.path.file_name().unwrap_or_default());
+                let moved =
+                    |(path, text): (&PathBuf, &String)| Some((now.join(path.strip_prefix(before).ok()?), text.clone()));
+                let included: Vec<(PathBuf, String)> = self.included.iter().filter_map(moved).collect();
+                self.included.extend(included);
+            }
             if let Some(copy) = copy {
                 check_own_folder(&self.pipeline, &copy)?;
             }
         }
         Ok(former)
     }
+}
+
+/// The folder of a pipeline that was moved together with its runs: where the one it was in is gone, that around the `.rockface/runs` that
+/// the manifest is in.
+fn moved_to(manifest: &Manifest, path: &Path) -> Option<PathBuf> {
+    if manifest.pipeline.folder.exists() {
+        return None;
+    }
+    let path = std::path::absolute(path).ok()?;
+    let runs = path.parent()?.parent()?;
+    let own = runs.parent().filter(|own| runs.ends_with("runs") && own.ends_with(".rockface"))?;
+    own.parent().map(Path::to_owned)
 }
 
 /// Refuses an extracted archive that has a link on the way to the folder of its pipeline, or in it: results would go where that leads.

@@ -102,6 +102,21 @@ fn inspect_reads_meshes_of_other_programs() {
 }
 
 #[test]
+fn a_run_is_repeated_in_the_folder_that_its_project_was_moved_to() {
+    let house = House::new(
+        "rockface: 1\nsteps: {a: {stage: synthesise-face, with: {width_m: 1, height_m: 1, spacing_m: 0.1}}}\n",
+    );
+    let (before, now) = (house.path("before"), house.path("now"));
+    std::fs::create_dir(&before).unwrap();
+    std::fs::rename(house.path("p.yaml"), before.join("p.yaml")).unwrap();
+    assert_eq!(house.rockface(&["run", "before/p.yaml"]).0, Some(0));
+    std::fs::rename(&before, &now).unwrap();
+    let (code, out, err) = house.rockface(&["run", "now/.rockface/runs/latest/run.json"]);
+    assert!(code == Some(0) && out.contains("ran 0, cached 1"), "{out}{err}");
+    assert!(err.contains("is gone, where this run was made; it is repeated in") && !before.exists(), "{err}");
+}
+
+#[test]
 fn an_archive_with_its_inputs_is_repeated_wherever_it_lies() {
     let house = House::new("");
     for folder in ["site/pipelines/parts", "site/scans", "other"] {
