@@ -52,9 +52,9 @@ impl CapacityArgs {
         options.jobs = self.jobs.map_or(options.jobs, usize::from);
         options.memory_bytes = self.memory.memory.as_ref().map_or(options.memory_bytes, |memory| memory.bytes);
         raise_memory_limit(options.memory_bytes as u64);
-        let machine = MachineMemory::now().map_or(u64::MAX, |machine| machine.total);
-        if let Some(memory) = self.memory.memory.as_ref().filter(|memory| memory.bytes as u64 > machine) {
-            let has = bytes(machine);
+        let Some(memory) = &self.memory.memory else { return };
+        if let Some(machine) = MachineMemory::now().filter(|machine| memory.bytes as u64 > machine.total) {
+            let has = bytes(machine.total);
             complain(&format!(
                 "warning: `--memory {}` is more than there is here, {has}; it is in GiB, or with a unit (500MB)",
                 memory.text

@@ -6,19 +6,17 @@ use std::path::{Path, PathBuf};
 /// Where both versions are mounted.
 const ROOT: &str = "/sys/fs/cgroup";
 
+/// The groups at the root of what is mounted, which may be known without `/proc`.
+const ROOT_GROUPS: &str = "0::/\n1:memory:/\n";
+
 /// What the processes of a group together may use and use without what the system keeps of files, bytes.
 pub type Usage = [u64; 2];
 
 /// The usage of every group that this process is in and that has a limit, from its own to the outermost.
 pub fn usages() -> Vec<Usage> {
-    let own = read_to_string("/proc/self/cgroup").unwrap_or_default();
-    // Without `/proc` the group at the root of what is mounted may still be known.
-    let folders = if own.is_empty() { vec![ROOT.into(), memory_root()] } else { folders(&own, Path::new(ROOT)) };
-    folders.iter().filter_map(|folder| usage(folder)).collect()
-}
-
-fn memory_root() -> PathBuf {
-    Path::new(ROOT).join("memory")
+    let own = read_to_string("/proc/self/cgroup").ok().filter(|own| !own.is_empty());
+    let own = own.as_deref().unwrap_or(ROOT_GROUPS);
+    folders(own, Path::new(ROOT)).iter().filter_map(|folder| usage(folder)).collect()
 }
 
 /// The folders of the groups for memory that `/proc/self/cgroup` names, and of all groups around them. In a container the names may be

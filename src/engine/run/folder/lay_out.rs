@@ -69,7 +69,7 @@ impl LayOut {
         summary: &Summary,
         store: &Store,
         folder: &Path,
-        jobs: usize,
+        threads: usize,
         stop: &AtomicBool,
     ) -> Result<Laid, RunError> {
         let counts = counts(plan, summary);
@@ -88,7 +88,7 @@ impl LayOut {
             }
         };
         let mut laid = Laid::default();
-        for (instance, (named, files)) in each(jobs, summary.instances.len(), named_files)?.into_iter().enumerate() {
+        for (instance, (named, files)) in each(threads, summary.instances.len(), named_files)?.into_iter().enumerate() {
             if plan.targets.binary_search(&instance).is_ok() {
                 let step = plan.instances[instance].step;
                 laid.of_targets.extend(files.iter().map(|(path, _)| (step, path.clone())));

@@ -168,6 +168,9 @@ fn plan_key(plan: &Plan, summary: &Summary, runs: &Path, about: &RunFolder) -> D
     Digest::of(text.as_bytes())
 }
 
+/// More threads than these do not make file systems faster.
+const MOST_THREADS: usize = 8;
+
 /// What stands in a folder that lacks but its manifest.
 struct Filled {
     manifest: NamedTempFile,
@@ -224,7 +227,7 @@ impl Writer<'_> {
     fn fill_in(&self, folder: &Path) -> Result<Filled, RunError> {
         phase!("fetch", self.bring())?;
         let lay_out =
-            || self.about.lay_out.lay_out(self.plan, self.summary, self.store, folder, self.about.jobs, self.stop);
+            || self.about.lay_out.lay_out(self.plan, self.summary, self.store, folder, self.threads(), self.stop);
         let laid = phase!("lay out", lay_out())?;
         let logs = self.logs()?;
         let headlines = headlines::headlines(self.plan, &logs);
@@ -271,6 +274,11 @@ impl Writer<'_> {
         logged.and(manifest)
     }
 
+    /// How many threads read and write files that are many.
+    fn threads(&self) -> usize {
+        self.about.jobs.min(MOST_THREADS)
+    }
+
     /// Writes the page of the run.
     fn report(&self, folder: &Path, manifest: &Manifest, logs: &[Vec<Entry>]) -> Result<(), RunError> {
         let path = folder.join(REPORT_FILE);
@@ -299,7 +307,7 @@ impl Writer<'_> {
     /// The log of each instance.
     fn logs(&self) -> Result<Vec<Vec<Entry>>, RunError> {
         let read = |instance| going_on(self.stop).and_then(|()| self.entries(instance));
-        each(self.about.jobs, self.summary.instances.len(), read)
+        each(self.threads(), self.summary.instances.len(), read)
     }
 
     /// The log of an instance. A lost one is recomputed with its step; one that cannot be read then is no reason to lose the run folder.

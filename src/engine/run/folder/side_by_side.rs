@@ -4,9 +4,6 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use crate::run::RunError;
 
-/// More threads than these do not make file systems faster.
-const MOST_THREADS: usize = 8;
-
 /// Does two things at once, the second in this thread; one after the other if there is to be one job.
 ///
 /// # Errors
@@ -27,13 +24,13 @@ pub fn both<A: Send, B>(
     })
 }
 
-/// What a function returns for each number below `count`, in their order, computed in as many threads as there are jobs. After an
+/// What a function returns for each number below `count`, in their order, computed in so many threads. After an
 /// error no further numbers are begun.
 ///
 /// # Errors
 /// The first error in the order of the numbers that were begun.
 pub fn each<T: Send>(
-    jobs: usize,
+    threads: usize,
     count: usize,
     one: impl Fn(usize) -> Result<T, RunError> + Sync,
 ) -> Result<Vec<T>, RunError> {
@@ -52,11 +49,10 @@ pub fn each<T: Send>(
             done.push((number, result));
         }
     };
-    let threads = jobs.min(MOST_THREADS).min(count);
     let mut done = std::thread::scope(|scope| {
         // Where the system gives no further thread, those that there are do it.
         let start = |_| std::thread::Builder::new().spawn_scoped(scope, some).ok();
-        let others: Vec<_> = (1..threads).filter_map(start).collect();
+        let others: Vec<_> = (1..threads.min(count)).filter_map(start).collect();
         let mut done = some();
         for other in others {
             done.extend(other.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)));

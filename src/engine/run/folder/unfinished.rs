@@ -7,6 +7,7 @@ use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 
 use super::files::failed;
+use super::side_by_side::each;
 use crate::run::RunError;
 
 /// The file that marks a folder being written. Its writer holds a lock on it, which ends with the process.
@@ -149,21 +150,8 @@ fn sweep_folder(folder: &Path, is_begun: bool) {
 pub fn sync_all(folder: &Path) -> Result<(), RunError> {
     let mut paths = Vec::new();
     gather(folder, &mut paths)?;
-    let sync_some = |some: &[PathBuf]| some.iter().try_for_each(|path| sync(path));
-    if paths.len() <= SYNCED_AT_ONCE {
-        return sync_some(&paths);
-    }
-    std::thread::scope(|scope| {
-        let parts = paths.chunks(paths.len().div_ceil(SYNCED_AT_ONCE));
-        let start = |part| std::thread::Builder::new().spawn_scoped(scope, move || sync_some(part)).map_err(|_| part);
-        let syncing: Vec<_> = parts.map(start).collect();
-        let done = syncing.into_iter().map(|one| match one {
-            Ok(thread) => thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)),
-            // Where the system gives no further thread, this one does it.
-            Err(part) => sync_some(part),
-        });
-        done.fold(Ok(()), Result::and)
-    })
+    let threads = if paths.len() > SYNCED_AT_ONCE { SYNCED_AT_ONCE } else { 1 };
+    each(threads, paths.len(), |path| sync(&paths[path])).map(drop)
 }
 
 /// All files and folders in a folder, itself last.
