@@ -29,13 +29,27 @@ pub fn run(registry: &Registry) -> i32 {
 }
 
 /// Says on standard error what is worth a warning, or what `ROCKFACE_LOG` asks for; records spans where they are wanted.
-fn listen(trace: Option<Trace>) {
-    let filter = EnvFilter::try_from_env("ROCKFACE_LOG").unwrap_or_else(|_| EnvFilter::new("warn"));
+fn listen(filter: EnvFilter, trace: Option<Trace>) {
     // Where standard error cannot be written to, saying so there would be a panic.
     let said = tracing_subscriber::fmt::layer().with_writer(std::io::stderr).log_internal_errors(false);
     let said = said.with_ansi(is_coloured());
     let recorded = trace.map(|trace| trace.with_filter(filter_fn(is_phase)));
     tracing_subscriber::registry().with(said.with_filter(filter)).with(recorded).init();
+}
+
+/// What `ROCKFACE_LOG` asks for, warnings by default.
+///
+/// # Errors
+/// It, or another variable that is yes or no, has a value without a meaning.
+fn settings() -> Result<EnvFilter, CliError> {
+    rockface_cache::shared_setting().map_err(CliError::Usage)?;
+    let wanted = std::env::var("ROCKFACE_LOG").ok().filter(|text| !text.is_empty());
+    let text = wanted.as_deref().unwrap_or("warn");
+    EnvFilter::try_new(text).map_err(|error| {
+        CliError::Usage(format!(
+            "the variable ROCKFACE_LOG is `{text}`: {error}; `info`, `debug` or `rockface_engine=debug` can be said"
+        ))
+    })
 }
 
 /// Whether what is said on standard error has colours.
@@ -45,10 +59,15 @@ fn is_coloured() -> bool {
 
 /// Runs a command and prints why it failed, if it did; returns the exit code.
 fn run_command(cli: Cli, registry: &Registry) -> i32 {
-    let checked = cli.trace_file().map_or(Ok(()), |file| check_own(file, 0, trace::BEGINS, "trace"));
+    let (filter, set) = match settings() {
+        Ok(filter) => (filter, Ok(())),
+        Err(error) => (EnvFilter::new("warn"), Err(error)),
+    };
+    let own = |()| cli.trace_file().map_or(Ok(()), |file| check_own(file, 0, trace::BEGINS, "trace"));
+    let checked = set.and_then(own);
     let file = cli.trace_file().filter(|_| checked.is_ok());
     let trace = file.map(|file| (Trace::begin(), file.to_owned()));
-    listen(trace.as_ref().map(|(trace, _)| trace.clone()));
+    listen(filter, trace.as_ref().map(|(trace, _)| trace.clone()));
     let result = checked.and_then(|()| cli.run(registry));
     let written =
         trace.map_or(Ok(()), |(trace, path)| trace.write(&path).map_err(|source| CliError::Trace { path, source }));

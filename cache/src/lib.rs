@@ -79,6 +79,7 @@ pub use error::StoreError;
 pub use files::FileDigest;
 pub use lease::Live;
 pub use locks::{Announced, KeyLock};
+pub use machine::shared_setting;
 pub use maintenance::{Collected, Fault, FaultKind, GcItem, GcPlan, GcPolicy, Handed, StageStat, Verified};
 pub use maintenance::{HalfWritten, SegmentFault, SegmentFaultKind};
 pub use materialise::Materialised;

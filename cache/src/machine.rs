@@ -37,6 +37,25 @@ const NETWORK: [u32; 15] = [
     0x7461_636f,
 ];
 
+/// What the environment says of whether other machines use the store; `None` where it says nothing.
+///
+/// # Errors
+/// It says something else than yes or no: a sentence for the user.
+pub fn shared_setting() -> Result<Option<bool>, String> {
+    let Some(text) = variable(SHARED_VARIABLE) else { return Ok(None) };
+    match text.as_str() {
+        "yes" | "1" | "true" => Ok(Some(true)),
+        "no" | "0" | "false" => Ok(Some(false)),
+        _ => Err(format!(
+            "the variable {SHARED_VARIABLE} is `{text}`: `yes` or `no` was expected; unset it to go by the file system"
+        )),
+    }
+}
+
+fn variable(name: &str) -> Option<String> {
+    std::env::var(name).ok().filter(|text| !text.is_empty())
+}
+
 /// This machine, as others on the store see it.
 #[derive(Debug)]
 pub(crate) struct Machine {
@@ -53,15 +72,10 @@ pub(crate) struct Machine {
 impl Machine {
     /// This machine on the store at `root`, which need not be there yet.
     pub fn on(root: &Path) -> Self {
-        let variable = |name| std::env::var(name).ok().filter(|text: &String| !text.is_empty());
         let given = variable(NAME_VARIABLE).or_else(|| fs::read_to_string("/proc/sys/kernel/random/boot_id").ok());
         let kept = |letter: &char| letter.is_ascii_alphanumeric();
         let name: String = given.unwrap_or_default().chars().filter(kept).take(12).collect();
-        let is_shared = match variable(SHARED_VARIABLE).as_deref() {
-            Some("yes" | "1" | "true") => true,
-            Some("no" | "0" | "false") => false,
-            _ => is_on_network(root),
-        };
+        let is_shared = shared_setting().ok().flatten().unwrap_or_else(|| is_on_network(root));
         Self { root: root.to_owned(), name, is_shared, beats: is_shared, worker: Mutex::default() }
     }
 

@@ -3,6 +3,9 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use clap::ValueEnum;
+
+use super::init::Template;
 use super::{CliError, PipelineArgs};
 use rockface_engine::diagnostic::{Diagnostics, nearest};
 use rockface_engine::pipeline::{Overrides, Pipeline};
@@ -166,7 +169,11 @@ impl Shipped {
 
 fn unknown(name: &str, plain: &str) -> CliError {
     let names: Vec<&str> = Shipped::all().map(|shipped| shipped.name).collect();
-    let near = nearest(plain, &names).map(|near| format!("did you mean `{near}`? "));
+    let template = Template::from_str(plain, true).ok();
+    let near = match template {
+        Some(_) => Some(format!("`rockface init DIR --template {plain}` begins the template of that name; ")),
+        None => nearest(plain, &names).map(|near| format!("did you mean `{near}`? ")),
+    };
     let (near, listed) = (near.unwrap_or_default(), names.join(", "));
     CliError::Usage(format!(
         "`{name}` is no file, and no pipeline of that name ships with rockface: {near}give a YAML file or one of {listed}"

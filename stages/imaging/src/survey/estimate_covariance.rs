@@ -91,6 +91,8 @@ params! {
 
 /// How far behind the mesh a control point may be and still be seen, metres.
 const BEHIND_M: f64 = 0.5;
+/// How far in front of the mesh a control point may be without a warning, metres.
+const IN_FRONT_M: f64 = 0.5;
 /// Control points that a warning names at most.
 const NAMED: usize = 10;
 /// Points for the mean effect on a pair.
@@ -105,7 +107,7 @@ pub struct EstimateCovariance;
 impl Stage for EstimateCovariance {
     type Params = EstimateCovarianceParams;
     const NAME: &'static str = "estimate-covariance";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const PAGE: Page = Page::new(include_str!("estimate_covariance.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("cameras", &[Kind::Cameras], "The orientation the adjustment is linearised at."),
@@ -316,15 +318,18 @@ fn measured(
     if surveyed.is_empty() {
         fail!("`control` has no rows");
     }
-    let (mut points, mut left_out) = (Vec::new(), Vec::new());
+    let (mut points, mut left_out, mut in_front) = (Vec::new(), Vec::new(), Vec::new());
     let mut hidden = 0;
     for Surveyed { name, position_m, weight } in surveyed {
+        let name = if name.is_empty() { "(no name)" } else { name.as_str() };
         let images = visibility.images_near(position_m, BEHIND_M);
         if images.len() < 2 {
-            left_out.push(if name.is_empty() { "(no name)" } else { name.as_str() });
+            left_out.push(name);
             hidden += usize::from(visibility.images_near(position_m, f64::INFINITY).len() >= 2);
             continue;
         }
+        let ahead_m = visibility.in_front_m(position_m).filter(|ahead_m| *ahead_m > IN_FRONT_M);
+        in_front.extend(ahead_m.map(|ahead_m| format!("{name} ({ahead_m:.1} m)")));
         points.push(ObjectPoint { position_m: *position_m, images, sigma_px, control_weight: Some(*weight) });
     }
     if points.is_empty() {
@@ -347,14 +352,26 @@ fn measured(
         return Err(StageError::new(message).hint(hint));
     }
     if !left_out.is_empty() {
-        let (count, names) = (left_out.len(), left_out.iter().take(NAMED).copied().collect::<Vec<_>>().join(", "));
-        let more = if count > NAMED { ", ..." } else { "" };
         context.warn(format!(
-            "left out of `control`, as fewer than two images see them ({hidden} behind the mesh, {} outside of the images): {names}{more}",
-            count - hidden
+            "left out of `control`, as fewer than two images see them ({hidden} behind the mesh, {} outside of the images): {}",
+            left_out.len() - hidden,
+            first_of(&left_out)
+        ));
+    }
+    if !in_front.is_empty() {
+        context.warn(format!(
+            "points of `control` in front of the mesh: {}; unless they are on the ground before it, look for another frame, another unit or wrong digits",
+            first_of(&in_front)
         ));
     }
     Ok(points)
+}
+
+/// The first names, for a warning.
+fn first_of<T: AsRef<str>>(names: &[T]) -> String {
+    let listed: Vec<&str> = names.iter().take(NAMED).map(AsRef::as_ref).collect();
+    let more = if names.len() > NAMED { ", ..." } else { "" };
+    format!("{}{more}", listed.join(", "))
 }
 
 fn datum(params: &EstimateCovarianceParams, cameras: &Cameras, points: &[ObjectPoint]) -> Datum {

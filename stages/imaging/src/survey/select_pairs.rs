@@ -6,10 +6,20 @@ use crate::survey::overlap::{NoPair, Views};
 use rockface_core::artefact::{Cameras, Kind, Mesh, Pair, Pairs};
 use rockface_core::numerics::union_find::UnionFind;
 use rockface_core::params::{Fault, Range};
-use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
+use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params};
 
 /// Vertices sampled for the overlap of images.
 const SAMPLES: usize = 20_000;
+
+choice! {
+    /// Which pairs of an image come first.
+    pub enum Order {
+        /// Those of the largest overlap, which are often those of the shortest baselines.
+        Overlap = "overlap",
+        /// Those that measure depth most precisely: overlap times the square of the ratio of baseline (its part across the view) to distance.
+        Precision = "precision",
+    }
+}
 
 params! {
     /// Parameters of `select-pairs`.
@@ -22,9 +32,11 @@ params! {
         max_base_to_distance: f64 = 1.0; Range::Positive,
         /// Largest angle between the optical axes, degrees.
         max_convergence_deg: f64 = 45.0; Range::Between(0.0, 180.0),
-        /// Most pairs of an image: first those of the largest overlap that join images no chain of pairs connects yet, then the others of the largest
-        /// overlap, as long as both images have room; null: no limit.
+        /// Most pairs of an image, in the order that `prefer` says: first those that join images no chain of pairs connects yet, then the
+        /// others, as long as both images have room; null: no limit.
         neighbours: Option<u32> = None; Range::AtLeast(1.0),
+        /// Which pairs within the limits come first where `neighbours` limits them.
+        prefer: Order = Order::Overlap,
         /// Pairs by hand, each `a+b`, whatever the limits say; null: every pair within the limits.
         list: Option<Vec<String>> = None,
     }
@@ -177,7 +189,8 @@ fn within_limits(
         return Err(none(params, n, &left_out));
     }
     let Some(most) = params.neighbours else { return Ok(chosen) };
-    let kept = nearest(&chosen, most);
+    let weights: Vec<f64> = chosen.iter().map(|pair| weight(params.prefer, cameras, pair)).collect();
+    let kept = nearest(&chosen, &weights, most);
     let [parts, all_parts] = [&kept, &chosen].map(|pairs| groups(pairs));
     if parts > all_parts {
         context.warn(format!(
@@ -188,11 +201,25 @@ fn within_limits(
     Ok(kept)
 }
 
-/// At most `most` pairs of each image, in the order given. Pairs of the largest overlap come first, in two rounds: those that join two
+/// What a pair is preferred by. Depth of a normal pair has the deviation Z / (B / Z) times that of angles, and pairs are averaged by weights of
+/// one over the variance; what they measure in common counts as often as there are points.
+fn weight(prefer: Order, cameras: &Cameras, pair: &Pair) -> f64 {
+    let ends = cameras.image(&pair.first).zip(cameras.image(&pair.second));
+    match (prefer, ends) {
+        (Order::Precision, Some((first, second))) => {
+            let view = (first.axis() + second.axis()).normalize();
+            let across_m = (second.centre() - first.centre()).cross(&view).norm();
+            pair.overlap * (across_m / pair.distance_m) * (across_m / pair.distance_m)
+        }
+        _ => pair.overlap,
+    }
+}
+
+/// At most `most` pairs of each image, in the order given. Pairs of the largest `weights` come first, in two rounds: those that join two
 /// groups of images, so that a strip does not fall apart where its images overlap less, and then the others.
-fn nearest(pairs: &[Pair], most: u32) -> Vec<Pair> {
+fn nearest(pairs: &[Pair], weights: &[f64], most: u32) -> Vec<Pair> {
     let mut order: Vec<usize> = (0..pairs.len()).collect();
-    order.sort_by(|a, b| pairs[*b].overlap.total_cmp(&pairs[*a].overlap).then(a.cmp(b)));
+    order.sort_by(|a, b| weights[*b].total_cmp(&weights[*a]).then(a.cmp(b)));
     let (ends, images) = numbered(pairs);
     let (mut sets, mut taken, mut kept) = (UnionFind::new(images), vec![0; images], vec![false; pairs.len()]);
     for joining in [true, false] {
@@ -356,6 +383,32 @@ mod tests {
         let pairs = chosen(json!({"min_overlap": 0.1, "neighbours": 2}));
         assert_eq!(names(&pairs), ["a+b", "a+d", "b+c", "c+d"]);
         assert_eq!(names(&chosen(json!({"min_overlap": 0.1, "neighbours": 1}))), ["a+b", "c+d"]);
+    }
+
+    #[test]
+    fn preferred_by_precision_are_long_baselines_within_the_limits() {
+        let cameras = row(&[("a", 0.0), ("b", 1.0), ("c", 2.0), ("d", 3.0)]);
+        let chosen = |with: Value| select(&cameras, face(Frame::Wall), &with).unwrap();
+        let with = |most: u32, least: f64| json!({"min_overlap": least, "neighbours": most, "prefer": "precision"});
+        // Footprints of 10 m: 0.7 x 3^2 for a+d, 0.8 x 2^2 for a+c and b+d, 0.9 for the others.
+        assert_eq!(names(&chosen(with(1, 0.1))), ["a+d", "b+c"]);
+        assert_eq!(names(&chosen(with(2, 0.1))), ["a+c", "a+d", "b+c", "b+d"]);
+        assert_eq!(names(&chosen(with(2, 0.75))), ["a+b", "a+c", "b+d", "c+d"]);
+        // Without a limit every pair is there, in whatever order.
+        assert_eq!(chosen(json!({"min_overlap": 0.1, "prefer": "precision"})).len(), 6);
+    }
+
+    #[test]
+    fn the_part_of_a_baseline_along_the_view_does_not_count() {
+        let mut cameras = row(&[("a", 0.0), ("b", 2.0), ("c", 2.0)]);
+        cameras.images[2].centre_m[2] = 22.0;
+        let views = Views::of_face(&cameras, &face(Frame::Wall), SAMPLES);
+        let [level, deep] = [1, 2].map(|second| {
+            let pair = views.pair(0, second).unwrap();
+            let ratio = 2.0 / pair.distance_m;
+            weight(Order::Precision, &cameras, &pair) / (pair.overlap * ratio * ratio)
+        });
+        assert!((level - 1.0).abs() < 1e-12 && (deep - 1.0).abs() < 1e-12, "{level} {deep}");
     }
 
     /// Two rows of images before a face that ends soon after them.

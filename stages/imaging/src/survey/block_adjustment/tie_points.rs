@@ -56,17 +56,28 @@ impl Visibility {
         self.views[image].is_none()
     }
 
+    /// How far a point is in front of the face, metres along the view, in the image where it is the least; `None` where no image sees it
+    /// before the face.
+    pub fn in_front_m(&self, point: &Vector3<f64>) -> Option<f64> {
+        let seen = (0..self.views.len()).filter_map(|image| self.depths_m(image, point));
+        seen.map(|[point_m, face_m]| face_m - point_m).filter(|ahead_m| ahead_m.is_finite()).min_by(f64::total_cmp)
+    }
+
     fn sees(&self, image: usize, point: &Vector3<f64>, behind_m: f64) -> bool {
-        let Some((camera, buffer, scale)) = &self.views[image] else { return false };
+        let depths = self.depths_m(image, point);
+        depths.is_some_and(|[point_m, face_m]| point_m <= face_m * (1.0 + TOLERANCE) + behind_m)
+    }
+
+    /// Depth of a point in an image, metres, and of the face where it projects to: infinite where there is none, at the edge of the face.
+    /// `None` outside of the image.
+    fn depths_m(&self, image: usize, point: &Vector3<f64>) -> Option<[f64; 2]> {
+        let (camera, buffer, scale) = self.views[image].as_ref()?;
         let local = camera.to_camera(point);
-        let Some(pixel) = camera.project_from_camera(&local).filter(|pixel| camera.inside(*pixel, 0.0)) else {
-            return false;
-        };
+        let pixel = camera.project_from_camera(&local).filter(|pixel| camera.inside(*pixel, 0.0))?;
         let [column, row] = pixel.map(|at| ((at + 0.5) / scale).floor().max(0.0) as usize);
         let (column, row) = (column.min(buffer.width.saturating_sub(1)), row.min(buffer.height.saturating_sub(1)));
-        let z = buffer.z_m.get(row * buffer.width + column).copied().unwrap_or(f64::INFINITY);
-        // A coarse pixel without depth lies at the edge of the face: the point is visible.
-        !z.is_finite() || local.z <= z * (1.0 + TOLERANCE) + behind_m
+        let face_m = buffer.z_m.get(row * buffer.width + column).copied().filter(|face_m| face_m.is_finite());
+        Some([local.z, face_m.unwrap_or(f64::INFINITY)])
     }
 }
 
