@@ -8,7 +8,7 @@ use tracing_subscriber::EnvFilter;
 use tracing_subscriber::filter::filter_fn;
 use tracing_subscriber::prelude::*;
 
-use crate::cli::{Cli, CliError, check_own, output};
+use crate::cli::{Cli, CliError, check_own, environment, output};
 use crate::trace::{self, Trace, is_phase};
 
 /// Runs the command line of this process with these stages; returns the exit code.
@@ -37,21 +37,6 @@ fn listen(filter: EnvFilter, trace: Option<Trace>) {
     tracing_subscriber::registry().with(said.with_filter(filter)).with(recorded).init();
 }
 
-/// What `ROCKFACE_LOG` asks for, warnings by default.
-///
-/// # Errors
-/// It, or another variable that is yes or no, has a value without a meaning.
-fn settings() -> Result<EnvFilter, CliError> {
-    rockface_cache::shared_setting().map_err(CliError::Usage)?;
-    let wanted = std::env::var("ROCKFACE_LOG").ok().filter(|text| !text.is_empty());
-    let text = wanted.as_deref().unwrap_or("warn");
-    EnvFilter::try_new(text).map_err(|error| {
-        CliError::Usage(format!(
-            "the variable ROCKFACE_LOG is `{text}`: {error}; `info`, `debug` or `rockface_engine=debug` can be said"
-        ))
-    })
-}
-
 /// Whether what is said on standard error has colours.
 fn is_coloured() -> bool {
     std::io::stderr().is_terminal() && !output::is_plain()
@@ -59,7 +44,7 @@ fn is_coloured() -> bool {
 
 /// Runs a command and prints why it failed, if it did; returns the exit code.
 fn run_command(cli: Cli, registry: &Registry) -> i32 {
-    let (filter, set) = match settings() {
+    let (filter, set) = match environment::settings() {
         Ok(filter) => (filter, Ok(())),
         Err(error) => (EnvFilter::new("warn"), Err(error)),
     };

@@ -1,4 +1,7 @@
 //! Digests of files outside the store, remembered so that an untouched file is not read again.
+//!
+//! They decide which results a run takes, so each bears the [`mark`] of this user and is kept under a name of this user: what another
+//! user of a shared store says of a file is not believed, and neither is what came with a store.
 
 use std::fs::{self, File, Metadata};
 use std::os::unix::ffi::OsStrExt;
@@ -10,8 +13,11 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::{At, StoreError};
 use crate::frame::Kind;
+use crate::memory::mark;
 use crate::{Digest, Store, plain};
 
+/// Tells marks on the digests of files from those on anything else.
+const MARKED: &[u8] = b"file digest";
 /// A file modified less than this before it was read may be modified again without its time changing.
 const RACY: Duration = Duration::from_secs(2);
 /// A file whose state changed (its times may have been set back since) less than this before may change again within the
@@ -78,35 +84,39 @@ impl Fingerprint {
 
 impl Store {
     /// The digest of a file. Read at a bounded memory, and only if its size, times, inode or device differ from those
-    /// it had when it was last read, or if it had been modified less than two seconds before that.
+    /// it had when this user last had it read, or if it had been modified less than two seconds before that.
     pub fn hash_file(&self, path: &Path) -> Result<FileDigest, StoreError> {
         let canonical = fs::canonicalize(path).at("find", path)?;
-        let key = Digest::of(canonical.as_os_str().as_bytes());
         let now = Fingerprint::of(&fs::metadata(&canonical).at("look at", path)?);
-        match self.remembered(&key) {
+        match self.remembered_at(&canonical) {
             Some((then, digest)) if then == now => Ok(FileDigest { digest, bytes: now.bytes }),
-            _ => self.hash_anew(&canonical, &key),
+            _ => self.hash_anew(&canonical),
         }
     }
 
     /// The digest of a file, read anew whatever is remembered of it.
     pub fn rehash_file(&self, path: &Path) -> Result<FileDigest, StoreError> {
-        let canonical = fs::canonicalize(path).at("find", path)?;
-        self.hash_anew(&canonical, &Digest::of(canonical.as_os_str().as_bytes()))
+        self.hash_anew(&fs::canonicalize(path).at("find", path)?)
     }
 
     /// The state and the digest that a file had when it was last read, if that is remembered.
     pub(crate) fn remembered_file(&self, path: &Path) -> Option<(Fingerprint, Digest)> {
-        let canonical = fs::canonicalize(path).ok()?;
-        self.remembered(&Digest::of(canonical.as_os_str().as_bytes()))
+        self.remembered_at(&fs::canonicalize(path).ok()?)
     }
 
-    /// [`Store::remembered_file`] by the digest of its path.
-    pub(crate) fn remembered(&self, key: &Digest) -> Option<(Fingerprint, Digest)> {
-        self.journal().with_index(|index| serde_json::from_slice(index.payload(Kind::File, key)?).ok())
+    fn remembered_at(&self, canonical: &Path) -> Option<(Fingerprint, Digest)> {
+        self.remembered(&name_of(canonical)?)
     }
 
-    fn hash_anew(&self, path: &Path, key: &Digest) -> Result<FileDigest, StoreError> {
+    /// [`Store::remembered_file`] by the name it is kept under.
+    pub(crate) fn remembered(&self, name: &Digest) -> Option<(Fingerprint, Digest)> {
+        let read = |payload: &[u8]| serde_json::from_slice::<(Fingerprint, Digest, Digest)>(payload).ok();
+        let (state, digest, told) =
+            self.journal().with_index(|index| index.payload(Kind::File, name).and_then(read))?;
+        (mark_on(name, &state, &digest)? == told).then_some((state, digest))
+    }
+
+    fn hash_anew(&self, path: &Path) -> Result<FileDigest, StoreError> {
         for _ in 0..ATTEMPTS {
             let started = SystemTime::now();
             let file = File::open(path).at("open", path)?;
@@ -117,10 +127,13 @@ impl Store {
             if fingerprint != Fingerprint::of(&file.metadata().at("look at", path)?) || bytes != before.len() {
                 continue;
             }
-            if is_settled(&before, started) {
-                let payload = serde_json::to_vec(&(fingerprint, digest));
+            if is_settled(&before, started)
+                && let Some(name) = name_of(path)
+                && let Some(mark) = mark_on(&name, &fingerprint, &digest)
+            {
+                let payload = serde_json::to_vec(&(fingerprint, digest, mark));
                 let payload = payload.map_err(std::io::Error::from).at("remember", path)?;
-                match self.append(Kind::File, *key, &payload) {
+                match self.append(Kind::File, name, &payload) {
                     // What may not be remembered, since the store can only be read, is hashed again next time.
                     Err(StoreError::Io { source, .. }) if plain::is_refused(&source) => {}
                     remembered => remembered?,
@@ -130,6 +143,15 @@ impl Store {
         }
         Err(StoreError::Changing { path: path.to_owned() })
     }
+}
+
+/// Under which name the digest of the file at this path is kept: no two users of a store have the same.
+fn name_of(canonical: &Path) -> Option<Digest> {
+    mark(&[MARKED, canonical.as_os_str().as_bytes()])
+}
+
+fn mark_on(name: &Digest, state: &Fingerprint, digest: &Digest) -> Option<Digest> {
+    mark(&[MARKED, name.as_bytes(), &state.bytes(), digest.as_bytes()])
 }
 
 /// Whether the file had been left alone for long enough that another change would show in its times: the one of its
@@ -175,6 +197,39 @@ mod tests {
         let other = Store::open(&dir).unwrap();
         other.hash_file(&path).unwrap();
         assert_eq!(other.stat().unwrap().files_hashed, 0, "what one process read the next remembers");
+    }
+
+    #[test]
+    fn what_others_say_of_a_file_is_not_believed() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("face.ply");
+        fs::write(&path, b"ply").unwrap();
+        set_age(&path, 60);
+        let store = Store::open(&folder.path().join("store")).unwrap();
+        let (name, state) = (name_of(&path).unwrap(), Fingerprint::of(&fs::metadata(&path).unwrap()));
+        let other = Digest::of(b"another file");
+        let foreign = Digest::keyed(&[7; 32], &[MARKED, name.as_bytes(), &state.bytes(), other.as_bytes()]);
+        let plain = Digest::of(path.as_os_str().as_bytes());
+        for (name, payload) in [
+            (name, serde_json::to_vec(&(state, other)).unwrap()),
+            (name, serde_json::to_vec(&(state, other, foreign)).unwrap()),
+            (plain, serde_json::to_vec(&(state, other)).unwrap()),
+        ] {
+            store.append(Kind::File, name, &payload).unwrap();
+            assert_eq!(store.remembered_file(&path), None);
+        }
+        assert_eq!(store.hash_file(&path).unwrap().digest, Digest::of(b"ply"));
+        assert_eq!(store.remembered_file(&path), Some((state, Digest::of(b"ply"))));
+        // A mark on what this user read of another file is none for this one.
+        let aside = folder.path().join("aside.ply");
+        fs::write(&aside, b"aside").unwrap();
+        set_age(&aside, 60);
+        store.hash_file(&aside).unwrap();
+        let payload = store
+            .journal()
+            .with_index(|index| index.payload(Kind::File, &name_of(&aside).unwrap()).map(<[u8]>::to_vec));
+        store.append(Kind::File, name, &payload.unwrap()).unwrap();
+        assert_eq!(store.remembered_file(&path), None);
     }
 
     #[test]

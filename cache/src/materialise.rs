@@ -32,7 +32,8 @@ pub enum Materialised {
 impl Store {
     /// Puts the blob at `to`, making folders as needed and replacing a file there in one step; says how.
     ///
-    /// A reflink where the file system can; else a copy up to 1 MiB; else a read-only hard link; else a copy. What is there
+    /// A reflink where the file system can; else a copy up to 1 MiB; else a hard link, where the blob is a read-only file of this user; else a
+    /// copy. What is there
     /// then has the digest: a blob that shares its bytes is read first, once a process, unless the store is trusted
     /// ([`Store::trust`]).
     pub fn materialise(&self, digest: &Digest, to: &Path) -> Result<Materialised, StoreError> {
@@ -53,7 +54,7 @@ impl Store {
         if bytes <= COPY_BYTES {
             return copy_bytes(&self.blobs().get(digest)?, folder, to);
         }
-        if hard_link(&blob, folder, to) {
+        if is_own_and_read_only(&blob) && hard_link(&blob, folder, to) {
             return Ok(Materialised::HardLink);
         }
         copy_file(self.blobs(), digest, folder, to)
@@ -102,6 +103,12 @@ fn reflink(source: &File, folder: &Path, to: &Path) -> Result<bool, StoreError> 
     }
     persist(file, to)?;
     Ok(true)
+}
+
+/// Whether nobody else can change a blob under its other name: its owner could, and so could whoever may write to it.
+fn is_own_and_read_only(blob: &Path) -> bool {
+    let is_safe = |meta: fs::Metadata| meta.uid() == rustix::process::geteuid().as_raw() && meta.mode() & 0o222 == 0;
+    fs::symlink_metadata(blob).is_ok_and(is_safe)
 }
 
 /// False where links are not available: another file system, too many links, or no permission.
@@ -181,6 +188,16 @@ mod tests {
         let to = folder.path().join("copy.bin");
         assert_eq!(copy_file(store.blobs(), &digest, folder.path(), &to).unwrap(), Materialised::Copy);
         assert!(fs::read(&to).unwrap() == vec![3; 3 << 20]);
+        assert!(!is_same_file(&store.blobs().path(&digest), &to));
+    }
+
+    #[test]
+    fn a_blob_that_others_could_write_to_is_copied() {
+        let (folder, store) = store();
+        let digest = store.put(&vec![4; 2 << 20]).unwrap();
+        fs::set_permissions(store.blobs().path(&digest), Permissions::from_mode(0o464)).unwrap();
+        let to = folder.path().join("copy.bin");
+        assert_ne!(store.materialise(&digest, &to).unwrap(), Materialised::HardLink);
         assert!(!is_same_file(&store.blobs().path(&digest), &to));
     }
 

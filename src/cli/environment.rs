@@ -1,5 +1,9 @@
 //! The variables of the environment that the program reads.
 
+use tracing_subscriber::EnvFilter;
+
+use super::CliError;
+
 /// Each with what it says.
 pub const VARIABLES: &[(&str, &str)] = &[
     ("ROCKFACE_STORE", "The store, as `--store`."),
@@ -15,14 +19,23 @@ pub const VARIABLES: &[(&str, &str)] = &[
         "`yes` or `no`: whether other machines use the store too; by default what its file system says.",
     ),
     ("ROCKFACE_MACHINE", "The name by which machines on one store tell themselves apart, letters and digits."),
-    ("ROCKFACE_PYTHON", "The Python of `python` steps; by default `python3` on the search path."),
+    (
+        "ROCKFACE_PYTHON",
+        "The Python of `python` steps; by default the `python3` beside the program, else the one on the search path.",
+    ),
     ("ROCKFACE_BIN", "Read by the Python package: the program that it starts."),
     (
         "ROCKFACE_LOG",
         "How much of what the engine does is printed: `info`, `debug`, `trace`, or a filter of the crate tracing.",
     ),
     ("NO_COLOR", "Any text but an empty one: no colours."),
-    ("TERM", "`dumb`: `inspect` draws no pictures in the terminal."),
+    ("TERM", "`dumb`, or not set: `inspect` draws no pictures in the terminal."),
+    ("PYTHONPATH", "Where Python finds packages, with `VIRTUAL_ENV` and `CONDA_PREFIX`; for `python` steps."),
+    (
+        "AWS_…, GOOGLE_…, AZURE_…",
+        "Credentials and settings of remote places, under the names that the tools of each provider use.",
+    ),
+    ("HOME", "The home folder: where the state is, and what `command` and `python` steps are given."),
     ("PATH", "Where programs of `command` and `python` steps are found."),
     ("TMPDIR", "Where temporary files are written, `/tmp` by default."),
     (
@@ -42,4 +55,19 @@ pub fn table() -> String {
 pub fn section() -> String {
     let entry = |(name, text): &(&str, &str)| format!(".TP\n\\fB{name}\\fR\n{}\n", text.replace('`', ""));
     format!(".SH ENVIRONMENT\n{}", VARIABLES.iter().map(entry).collect::<String>())
+}
+
+/// What `ROCKFACE_LOG` asks for, warnings by default.
+///
+/// # Errors
+/// It, or another variable that is yes or no, has a value without a meaning.
+pub fn settings() -> Result<EnvFilter, CliError> {
+    rockface_cache::shared_setting().map_err(CliError::Usage)?;
+    let wanted = std::env::var("ROCKFACE_LOG").ok().filter(|text| !text.is_empty());
+    let text = wanted.as_deref().unwrap_or("warn");
+    EnvFilter::try_new(text).map_err(|error| {
+        CliError::Usage(format!(
+            "the variable ROCKFACE_LOG is `{text}`: {error}; `info`, `debug` or `rockface_engine=debug` can be said"
+        ))
+    })
 }

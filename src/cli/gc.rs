@@ -23,7 +23,7 @@ const DAY_S: f64 = 86_400.0;
 /// Arguments of `rockface store gc`.
 #[derive(Debug, Args)]
 pub struct GcArgs {
-    /// A remote place to clear instead, such as `s3://bucket/prefix`. It knows no runs, so records go by when their steps ended.
+    /// A remote place to clear instead, such as `s3://bucket/prefix`. It does not know runs, so it judges a record by the time its step ended.
     #[arg(value_name = "URL", value_parser = url, conflicts_with = "unnamed")]
     remote: Option<PathBuf>,
     #[command(flatten)]

@@ -3,7 +3,7 @@
 mod candidates;
 mod capacity;
 mod completions;
-mod environment;
+pub mod environment;
 mod expected_work;
 mod explain;
 mod export;

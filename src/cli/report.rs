@@ -40,7 +40,14 @@ impl ReportArgs {
                     "warning: no store here has results of this run, so its page stays as it is; `--store` writes it anew",
                 );
                 say(&to.display().to_string());
-                return if self.open { show(&to) } else { Ok(()) };
+                if self.open {
+                    return Err(CliError::Usage(format!(
+                        "{} was not written here, so it is not opened: its scripts would run as those of a local file; give `--output FILE` for a page of \
+                         what is in the folder, or open it yourself if you trust whoever it is from",
+                        to.display()
+                    )));
+                }
+                return Ok(());
             }
             complain(
                 "warning: no store here has results of this run; what is not in its folder is missing from the report",

@@ -89,7 +89,7 @@ impl RunArgs {
         self.pipeline.no_programs = self.programs.are_refused();
         self.check_paths()?;
         let text = self.pipeline.read()?;
-        let question = self.question(&text);
+        let question = self.question(registry, &text);
         if let Some(told) = self.recall(question.as_ref())? {
             self.say_end(&told, 0, told.instances, false, begun.elapsed().as_secs_f64());
             return Ok(());
@@ -184,7 +184,7 @@ impl RunArgs {
     }
 
     /// The digest of everything that decides the result of this command; `None` if every step instance has to be printed.
-    fn question(&self, text: &str) -> Option<Digest> {
+    fn question(&self, registry: &Registry, text: &str) -> Option<Digest> {
         let is_repetition = self.pipeline.text.is_some() && !self.pipeline.shipped;
         if self.json
             || self.verbose
@@ -199,8 +199,9 @@ impl RunArgs {
         let arguments: Vec<_> = std::env::args_os().skip(1).collect();
         let program = rockface_engine::version::state_of_program()?;
         let place = (std::env::current_dir().ok()?, self.pipeline.store_dir(), &self.runs, self.pipeline.remote.url());
-        // The search path decides which programs the steps run, this variable which Python.
-        let search = ["PATH", "ROCKFACE_PYTHON"].map(std::env::var_os);
+        // What decides which programs the steps run, and what these find.
+        let stages = registry.stages().iter().flat_map(|stage| stage.variables());
+        let search: Vec<_> = run::INHERITED.iter().chain(stages).map(std::env::var_os).collect();
         // Paths may be no text: they are asked for as they are written in Rust, which is one of a kind.
         Some(Digest::of(
             format!("{program} {place:?} {} {arguments:?} {search:?}", Digest::of(text.as_bytes())).as_bytes(),

@@ -85,11 +85,10 @@ pub fn save(to: &Path, text: &str) -> Result<(), ReportError> {
     let write = || {
         std::fs::create_dir_all(parent)?;
         // Its own error names the temporary file, which nobody has asked for.
-        let made = tempfile::NamedTempFile::new_in(parent);
+        let readable = std::os::unix::fs::PermissionsExt::from_mode(0o666);
+        let made = tempfile::Builder::new().permissions(readable).tempfile_in(parent);
         let mut file = made.map_err(|error| std::io::Error::from(error.kind()))?;
         std::io::Write::write_all(&mut file, text.as_bytes())?;
-        // Temporary files are private; a report is for whoever may read the folder.
-        file.as_file().set_permissions(std::os::unix::fs::PermissionsExt::from_mode(0o644))?;
         file.persist(to).map(drop).map_err(|error| error.error)
     };
     write().map_err(|source| ReportError::Io { path: to.to_owned(), source })

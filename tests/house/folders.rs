@@ -1,6 +1,7 @@
 //! Run folders as others find them: inspected, archived with all files of the pipeline, whole or not there.
 
 use std::collections::BTreeMap;
+use std::os::unix::fs::PermissionsExt;
 use std::process::Command;
 
 use rockface_cache::{Digest, Record, Store};
@@ -340,17 +341,64 @@ fn what_stands_in_the_place_of_a_mark_or_a_pin_is_neither_followed_nor_waited_fo
 }
 
 #[test]
+fn files_are_for_whom_the_umask_lets_read_them() {
+    for (umask, expected) in [("077", 0o600), ("002", 0o664)] {
+        let house = House::new(SMALL);
+        let script = format!(
+            "umask {umask}; \"$0\" run p.yaml -q && \"$0\" archive latest -o run.tar && \"$0\" report latest -o page.html"
+        );
+        let program = house.command(&[]).get_program().to_owned();
+        let mut shell = Command::new("sh");
+        let done = shell.arg("-c").arg(script).arg(program).current_dir(house.path(".")).output().unwrap();
+        assert!(done.status.success(), "{done:?}");
+        for file in ["run.tar", "page.html", ".rockface/runs/latest/run.json", ".rockface/runs/latest/report.html"] {
+            let mode = std::fs::metadata(house.path(file)).unwrap().permissions().mode() & 0o777;
+            assert_eq!(mode, expected, "{file} {umask}");
+        }
+    }
+}
+
+#[test]
+fn a_page_from_elsewhere_is_not_handed_to_a_browser() {
+    let house = House::new(SMALL);
+    assert_eq!(house.rockface(&["run", "p.yaml", "-q"]).0, Some(0));
+    std::fs::create_dir(house.path("gift")).unwrap();
+    std::fs::rename(house.path(".rockface/runs/latest").canonicalize().unwrap(), house.path("gift/run")).unwrap();
+    std::fs::remove_dir_all(house.path(".rockface")).unwrap();
+    std::fs::write(house.path("gift/run/report.html"), "<script>alert(1)</script>").unwrap();
+    let (code, _, err) = house.rockface(&["report", "gift/run", "--open"]);
+    assert!(code == Some(2) && err.contains("was not written here, so it is not opened"), "{code:?} {err}");
+}
+
+#[test]
+fn a_variable_without_a_meaning_is_refused() {
+    let house = House::new(SMALL);
+    for (name, value) in [("ROCKFACE_SHARED_STORE", "banana"), ("ROCKFACE_LOG", "rockface=loud")] {
+        let done = house.command(&["run", "p.yaml", "-q"]).env(name, value).output().unwrap();
+        let err = String::from_utf8_lossy(&done.stderr);
+        assert!(done.status.code() == Some(2) && err.contains(name) && err.contains(value), "{err}");
+    }
+    let done = house.command(&["run", "p.yaml", "-q"]).env("ROCKFACE_SHARED_STORE", "no").output().unwrap();
+    assert!(done.status.success());
+}
+
+#[test]
 fn a_folder_whose_writer_died_is_no_run_and_goes_with_the_next() {
     let house = including();
     let left = house.path(".rockface/runs/2020-01-01T000000Z-left-00000000");
     std::fs::create_dir(&left).unwrap();
-    std::fs::write(left.join(".unfinished"), "").unwrap();
+    std::fs::write(left.join(".unfinished"), "rockface is writing this run folder\n").unwrap();
     std::fs::write(left.join("run.mcap"), "half").unwrap();
+    // A file of that name in a folder of other things says nothing: it may have come with an archive.
+    let scans = house.path(".rockface/runs/scans");
+    std::fs::create_dir(&scans).unwrap();
+    std::fs::write(scans.join(".unfinished"), "").unwrap();
+    std::fs::write(scans.join("cliff.laz"), "the only one").unwrap();
     let (_, out, _) = house.rockface(&["runs", "list"]);
     assert!(!out.contains("left"), "{out}");
     let (code, _, err) = house.rockface(&["run", "p.yaml"]);
     assert_eq!(code, Some(0), "{err}");
-    assert!(!left.exists());
+    assert!(!left.exists() && scans.join("cliff.laz").exists());
     let latest = house.path(".rockface/runs/latest");
     let names = std::fs::read_dir(latest).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap());
     assert_eq!(names.filter(|name| name.starts_with('.')).count(), 0);

@@ -26,6 +26,10 @@ pub struct Faults {
     pub forbid_writes: bool,
     /// Connections are closed without an answer.
     pub hang_up: bool,
+    /// Requests are led on to the server at this port.
+    pub lead_to: Option<u16>,
+    /// Every page of a listing is the first one, and says that there are more.
+    pub repeat: bool,
 }
 
 /// A bucket, and who answers for it.
@@ -77,6 +81,18 @@ impl Server {
         ]
     }
 
+    /// Where it listens.
+    #[allow(dead_code)] // for the tests of the remote places alone
+    pub fn port(&self) -> u16 {
+        self.port
+    }
+
+    /// How many requests it has got.
+    #[allow(dead_code)] // for the tests of the remote places alone
+    pub fn requests(&self) -> u64 {
+        self.shared.requests.load(Relaxed)
+    }
+
     pub fn set(&self, faults: Faults) {
         *self.shared.faults.lock().unwrap() = faults;
     }
@@ -106,6 +122,7 @@ impl Shared {
             } else {
                 self.answer(&request, faults)
             };
+            let status = faults.lead_to.map_or(status, |_| "307 Temporary Redirect");
             if answer(stream, &request, status, &body, faults).is_none() {
                 return;
             }
@@ -116,7 +133,7 @@ impl Shared {
         let mut objects = self.objects.lock().unwrap();
         let key = &request.key;
         match request.method.as_str() {
-            "GET" if request.query.contains_key("list-type") => ("200 OK", list(&objects, request)),
+            "GET" if request.query.contains_key("list-type") => ("200 OK", list(&objects, request, faults.repeat)),
             "GET" | "HEAD" => match objects.get(key) {
                 Some(bytes) => {
                     let mut bytes = bytes.clone();
@@ -144,11 +161,11 @@ impl Shared {
 }
 
 /// A page of a listing: at most 1000 objects, as S3 has it.
-fn list(objects: &BTreeMap<String, Vec<u8>>, request: &Request) -> Vec<u8> {
+fn list(objects: &BTreeMap<String, Vec<u8>>, request: &Request, repeat: bool) -> Vec<u8> {
     let prefix = request.query.get("prefix").cloned().unwrap_or_default();
-    let after = request.query.get("continuation-token").cloned().unwrap_or_default();
+    let after = request.query.get("continuation-token").cloned().filter(|_| !repeat).unwrap_or_default();
     let mut found: Vec<_> = objects.iter().filter(|(key, _)| key.starts_with(&prefix) && **key > after).collect();
-    let is_cut = found.len() > 1000;
+    let is_cut = found.len() > 1000 || repeat;
     found.truncate(1000);
     let entries: String = found
         .iter()
@@ -201,8 +218,10 @@ fn read(reader: &mut BufReader<&TcpStream>) -> Option<Request> {
 /// `None` where the connection is closed.
 fn answer(mut stream: &TcpStream, request: &Request, status: &str, body: &[u8], faults: Faults) -> Option<()> {
     let length = body.len();
+    let elsewhere = faults.lead_to.map(|port| format!("Location: http://127.0.0.1:{port}/bucket/other\r\n"));
+    let elsewhere = elsewhere.unwrap_or_default();
     let head = format!(
-        "HTTP/1.1 {status}\r\nContent-Length: {length}\r\nETag: \"1\"\r\nLast-Modified: Thu, 01 Jan 2026 00:00:00 GMT\r\n\r\n"
+        "HTTP/1.1 {status}\r\n{elsewhere}Content-Length: {length}\r\nETag: \"1\"\r\nLast-Modified: Thu, 01 Jan 2026 00:00:00 GMT\r\n\r\n"
     );
     stream.write_all(head.as_bytes()).ok()?;
     if request.method == "HEAD" {

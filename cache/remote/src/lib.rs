@@ -6,8 +6,10 @@
 #![cfg_attr(not(test), warn(clippy::print_stdout, clippy::print_stderr, clippy::exit))]
 
 mod address;
+mod connection;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashSet};
+use std::hash::BuildHasher;
 use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
@@ -25,6 +27,8 @@ use rockface_cache::remote::{Backend, BackendError, Object};
 use tokio::runtime::{Builder, Runtime};
 use url::Url;
 
+use connection::Direct;
+
 /// The time a request may take, with all its repetitions, before anything is transferred, seconds; the variable of the
 /// environment changes it.
 pub const TIMEOUT_S: f64 = 20.0;
@@ -34,6 +38,8 @@ pub const TIMEOUT_VARIABLE: &str = "ROCKFACE_REMOTE_TIMEOUT";
 const LEAST_SPEED: u64 = 256 * 1024;
 /// How often a request is repeated.
 const RETRIES: usize = 4;
+/// Objects that a listing may name.
+const MOST_LISTED: usize = 1 << 22;
 
 /// Variables of an environment by name.
 pub type Variables = BTreeMap<String, String>;
@@ -135,19 +141,39 @@ fn build(
             let builder = builder.fold(AmazonS3Builder::new(), |builder, (key, value)| builder.with_config(key, value));
             // Not every server knows how to remove several objects at once.
             let builder = builder.with_url(url.as_str()).with_disable_bulk_delete(true);
-            builder.with_retry(retry).with_client_options(options).build().map(|store| Arc::new(store) as _)
+            builder
+                .with_retry(retry)
+                .with_client_options(options)
+                .with_http_connector(Direct(timeout))
+                .build()
+                .map(|store| Arc::new(store) as _)
         }
         ObjectStoreScheme::GoogleCloudStorage => {
             let builder = GoogleCloudStorageBuilder::from_env().with_url(url.as_str());
-            builder.with_retry(retry).with_client_options(options).build().map(|store| Arc::new(store) as _)
+            builder
+                .with_retry(retry)
+                .with_client_options(options)
+                .with_http_connector(Direct(timeout))
+                .build()
+                .map(|store| Arc::new(store) as _)
         }
         ObjectStoreScheme::MicrosoftAzure => {
             let builder = MicrosoftAzureBuilder::from_env().with_url(url.as_str());
-            builder.with_retry(retry).with_client_options(options).build().map(|store| Arc::new(store) as _)
+            builder
+                .with_retry(retry)
+                .with_client_options(options)
+                .with_http_connector(Direct(timeout))
+                .build()
+                .map(|store| Arc::new(store) as _)
         }
         ObjectStoreScheme::Http => {
             let builder = HttpBuilder::new().with_url(&url[..url::Position::BeforePath]);
-            builder.with_retry(retry).with_client_options(options).build().map(|store| Arc::new(store) as _)
+            builder
+                .with_retry(retry)
+                .with_client_options(options)
+                .with_http_connector(Direct(timeout))
+                .build()
+                .map(|store| Arc::new(store) as _)
         }
         _ => return Err(None),
     }
@@ -253,9 +279,17 @@ impl Backend for Objects {
         let path = self.path(prefix);
         let skipped = if self.prefix.as_ref().is_empty() { 0 } else { self.prefix.as_ref().len() + 1 };
         let mut stream = self.store.list(Some(&path));
-        let mut found = Vec::new();
-        // Each page has the time of a request: a listing may have any number of pages.
+        let (mut found, mut names) = (Vec::new(), HashSet::new());
+        // Each page has the time of a request: a listing may have many pages, but names nothing twice.
         while let Some(meta) = self.wait(0, async { stream.next().await.transpose() })? {
+            if found.len() == MOST_LISTED {
+                return Err(BackendError::Unavailable(format!("its listing names more than {MOST_LISTED} objects")));
+            }
+            let hash = names.hasher().hash_one(meta.location.as_ref());
+            if !names.insert(hash) {
+                let name = &meta.location;
+                return Err(BackendError::Unavailable(format!("its listing does not end: it names `{name}` again")));
+            }
             found.push(Object {
                 name: meta.location.as_ref().get(skipped..).unwrap_or_default().to_owned(),
                 bytes: meta.size,

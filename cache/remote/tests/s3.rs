@@ -51,6 +51,30 @@ fn a_page_of_a_listing_is_not_all_of_it() {
 }
 
 #[test]
+fn a_listing_that_does_not_end_is_given_up() {
+    let server = Server::start();
+    server.objects().extend((0..3).map(|number| (format!("p/many/{number}"), b"x".to_vec())));
+    server.set(Faults { repeat: true, ..Faults::default() });
+    let fault = handle(&server, "p").list("many/").unwrap_err().to_string();
+    assert!(fault.contains("does not end: it names `p/many/0` again"), "{fault}");
+    assert!(server.requests() < 4, "{}", server.requests());
+}
+
+#[test]
+fn a_server_leads_nobody_to_another_one() {
+    let (server, other) = (Server::start(), Server::start());
+    other.objects().insert("other".to_owned(), b"elsewhere".to_vec());
+    server.objects().insert("p/blob".to_owned(), b"here".to_vec());
+    let place = handle(&server, "p");
+    assert_eq!(place.get("blob", 100).unwrap(), b"here");
+    server.set(Faults { lead_to: Some(other.port()), ..Faults::default() });
+    let fault = place.get("blob", 100).unwrap_err().to_string();
+    assert!(fault.contains("307"), "{fault}");
+    assert!(place.list("").is_err() && place.put("new", b"bytes").is_err());
+    assert_eq!(other.requests(), 0);
+}
+
+#[test]
 fn a_bucket_without_a_prefix_is_a_place_too() {
     let server = Server::start();
     suite::moves_bytes(&|| handle(&server, ""));

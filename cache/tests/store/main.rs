@@ -225,10 +225,10 @@ fn notes_on_runs_are_recalled_latest_first() {
     assert!(store.memory().recalled_run(&plan).is_none());
     for run in ["first", "second"] {
         store.memory().remember_run(&plan, &json!({ "run": run })).unwrap();
-        assert_eq!(store.memory().recalled_run(&plan), Some(json!({ "run": run })));
+        assert_eq!(store.memory().own_run(&plan), Some(json!({ "run": run })));
     }
     drop(store);
-    assert_eq!(Store::open(folder.path()).unwrap().memory().recalled_run(&plan), Some(json!({ "run": "second" })));
+    assert_eq!(Store::open(folder.path()).unwrap().memory().own_run(&plan), Some(json!({ "run": "second" })));
 }
 
 #[test]

@@ -10,7 +10,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use rockface_cache::{Digest, NameError, OutputRecord, SafeName, SafePath, Store, StoreError};
 use rockface_core::artefact::Kind;
 
-use super::file_names::RUN_FILES;
+use super::file_names::{PIPELINE_FILE, RUN_FILES};
 use super::sources::source_files;
 use super::{HistoryError, Manifest, PastRun, StepDone, output_folder};
 
@@ -74,14 +74,17 @@ pub fn archive(
     let folder = to.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     std::fs::create_dir_all(folder).map_err(HistoryError::io("make the folder", folder))?;
     // Its own error names the temporary file, which nobody has asked for.
-    let file = tempfile::NamedTempFile::new_in(folder).map_err(|error| std::io::Error::from(error.kind()));
+    let readable = PermissionsExt::from_mode(0o666);
+    let file = tempfile::Builder::new().permissions(readable).tempfile_in(folder);
+    let file = file.map_err(|error| std::io::Error::from(error.kind()));
     let file = file.map_err(HistoryError::io("write into", folder))?;
     let mut packing = Packing { tar: tar::Builder::new(BufWriter::new(file)), sums: BTreeMap::new(), to, stop };
     packing.add(Path::new("README"), README.as_bytes())?;
     let made = made(&run.manifest);
     let (files, strange) = files_of(run, &made, contents.outputs)?;
-    for path in files {
-        packing.add_own(&path, made.get(&*path).copied(), run, store)?;
+    packing.add(Path::new(PIPELINE_FILE), run.manifest.pipeline.text.as_bytes())?;
+    for path in files.iter().filter(|path| ***path != *Path::new(PIPELINE_FILE)) {
+        packing.add_own(path, made.get(&**path).copied(), run, store)?;
     }
     let left_out = if contents.outputs { packing.stored_outputs(run, store)? } else { Vec::new() };
     if contents.inputs {
@@ -94,8 +97,6 @@ pub fn archive(
     let missing = packing.records(run, store)?;
     let files = packing.sums.len() + 1;
     let file = packing.finish()?;
-    let mode = PermissionsExt::from_mode(0o644);
-    file.as_file().set_permissions(mode).map_err(HistoryError::io("write", to))?;
     file.persist(to).map_err(|fault| HistoryError::io("write", to)(fault.error))?;
     Ok(Archived { files, missing, left_out, strange })
 }
@@ -138,11 +139,10 @@ fn files_of(
     made: &BTreeMap<&Path, Digest>,
     outputs: bool,
 ) -> Result<(Vec<SafePath>, usize), HistoryError> {
-    let places: BTreeSet<&Path> = made.keys().filter_map(|path| path.parent()).collect();
     let is_of_run = |path: &SafePath| match path.parent() {
         None => false,
         Some(top) if top.as_os_str().is_empty() => RUN_FILES.iter().any(|name| **path == *Path::new(name)),
-        Some(_) => path.starts_with("outputs") && path.ancestors().skip(1).any(|folder| places.contains(folder)),
+        Some(_) => path.starts_with("outputs") && is_of_output(path, made),
     };
     let (mut found, mut strange, mut folders) = (Vec::new(), 0, vec![PathBuf::new()]);
     while let Some(folder) = folders.pop() {
@@ -163,6 +163,20 @@ fn files_of(
     }
     found.sort();
     Ok((found, strange))
+}
+
+/// Whether a file is an output, or one of the further files that are called as it is: a table, a cloud, or a part in a folder of its name.
+fn is_of_output(path: &Path, made: &BTreeMap<&Path, Digest>) -> bool {
+    const FURTHER: [&str; 3] = ["csv", "laz", "parquet"];
+    let ends_as = |path: &Path, known: &[&str]| path.extension().is_some_and(|end| known.iter().any(|one| end == *one));
+    let of = |stem: &Path, kinds: &[Kind]| {
+        kinds.iter().any(|kind| made.contains_key(&*stem.with_added_extension(kind.extension())))
+    };
+    let folder = path.parent().unwrap_or(path);
+    made.contains_key(path)
+        || ends_as(path, &FURTHER) && of(&path.with_extension(""), &[Kind::Cloud, Kind::Table, Kind::Inventory])
+        || ends_as(path, &["ply"]) && of(folder, &[Kind::Meshes])
+        || of(folder, &[Kind::Files])
 }
 
 /// What stands before a file of so many bytes, which may be a program.

@@ -18,7 +18,7 @@ use crate::watch::Observer;
 
 pub use folder::{Finished, LayOut, Reporter, RunFolder, execute_and_tell, finish, shortcut};
 pub use machine::{MachineMemory, process_bytes};
-pub use worker::{rerun, tools};
+pub use worker::{INHERITED, rerun, tools};
 
 /// Runs a plan as the scheduler does; what was done is durable at the end. The plan grows as items of axes become known.
 ///

@@ -17,6 +17,11 @@ pub fn raise_memory_limit(bytes: u64) {
     LIMIT_BYTES.fetch_max(bytes, Ordering::Relaxed);
 }
 
+/// The memory that the values of one file may take, bytes.
+pub fn memory_limit() -> u64 {
+    LIMIT_BYTES.load(Ordering::Relaxed)
+}
+
 /// Asks now and then whether a reader is to stop.
 pub struct Stop<'a> {
     cancelled: &'a dyn Fn() -> bool,
@@ -73,7 +78,7 @@ pub fn too_long(what: &str, most: u64) -> String {
 /// # Errors
 /// What is claimed, the memory it takes, the limit, and how to raise it.
 pub fn affordable(what: &str, bytes: Option<u64>) -> Result<(), CodecError> {
-    within(what, bytes, LIMIT_BYTES.load(Ordering::Relaxed))
+    within(what, bytes, memory_limit())
 }
 
 fn within(what: &str, bytes: Option<u64>, limit: u64) -> Result<(), CodecError> {

@@ -475,6 +475,9 @@ pub trait Stage: Send + Sync + 'static {
     /// Whether [`Stage::complete`] has something to add.
     const IS_COMPLETED: bool = false;
 
+    /// Variables of the environment that decide what [`Stage::complete`] finds, beside those that every program is given.
+    const VARIABLES: &'static [&'static str] = &[];
+
     /// Keys to be added to a step's `with` before its ports are asked for: what a file says that a parameter names. They take
     /// the place of those that are written, and may not depend on an axis.
     fn complete(_with: &Value, _planner: &dyn Planner) -> Result<serde_json::Map<String, Value>, Vec<Fault>> {
@@ -531,6 +534,8 @@ pub trait AnyStage: Sync {
     fn starts_programs(&self) -> bool;
     /// Whether it adds keys to `with` before planning.
     fn is_completed(&self) -> bool;
+    /// [`Stage::VARIABLES`]: variables of the environment that decide what it adds.
+    fn variables(&self) -> &'static [&'static str];
     /// The keys it adds to `with`, see [`Stage::complete`].
     fn complete(&self, with: &Value, planner: &dyn Planner) -> Result<serde_json::Map<String, Value>, Vec<Fault>>;
     /// The ports of a step whose `with` is written like this.
@@ -592,6 +597,9 @@ impl<S: Stage> AnyStage for Row<S> {
     }
     fn is_completed(&self) -> bool {
         S::IS_COMPLETED
+    }
+    fn variables(&self) -> &'static [&'static str] {
+        S::VARIABLES
     }
     fn complete(&self, with: &Value, planner: &dyn Planner) -> Result<serde_json::Map<String, Value>, Vec<Fault>> {
         S::complete(with, planner)

@@ -21,7 +21,10 @@ pub(super) fn write_file(path: &Path, bytes: &[u8]) -> Result<(), RunError> {
 /// What is to be the file at `path`, written beside it; [`put`] gives it its name.
 fn staged(path: &Path, write: impl FnOnce(&mut NamedTempFile) -> io::Result<()>) -> Result<NamedTempFile, RunError> {
     let write = || {
-        let mut file = NamedTempFile::new_in(path.parent().unwrap_or(Path::new(".")))?;
+        // Temporary files are private; results are for whom the umask of the user lets read them.
+        let mode = std::os::unix::fs::PermissionsExt::from_mode(0o666);
+        let made = tempfile::Builder::new().permissions(mode).tempfile_in(path.parent().unwrap_or(Path::new(".")));
+        let mut file = made?;
         write(&mut file).map(|()| file)
     };
     write().map_err(failed(path))
@@ -39,10 +42,7 @@ pub(super) fn durable(
 
 /// Gives a finished file its name.
 pub(super) fn put(file: NamedTempFile, path: &Path) -> Result<(), RunError> {
-    // Temporary files are private; results are for whoever may read the folder.
-    let mode = std::os::unix::fs::PermissionsExt::from_mode(0o644);
-    let open = file.as_file().set_permissions(mode);
-    open.and_then(|()| file.persist(path).map(drop).map_err(|error| error.error)).map_err(failed(path))
+    file.persist(path).map(drop).map_err(|fault| failed(path)(fault.error))
 }
 
 /// The error of a file or folder that cannot be used.

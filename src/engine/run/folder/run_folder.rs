@@ -141,7 +141,7 @@ fn note(store: &Store, summary: &Summary, folder: &Path, pinned: bool) -> Result
 
 /// A former run of the same key, if its folder is in `runs` and all that was left in it is what it was.
 fn former(store: &Store, key: &Digest, runs: &Path) -> Result<Option<Finished>, RunError> {
-    let former = store.memory().recalled_run(key).and_then(|note| serde_json::from_value::<Finished>(note).ok());
+    let former = store.memory().own_run(key).and_then(|note| serde_json::from_value::<Finished>(note).ok());
     let Some(mut former) = former.filter(|former| made::is_in(&former.folder, runs)) else { return Ok(None) };
     let before = former.made.clone();
     if !made::is_whole(&former.folder, &mut former.made) {

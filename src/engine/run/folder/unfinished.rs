@@ -2,7 +2,7 @@
 //! writer has died.
 
 use std::fs::{File, Permissions};
-use std::io::ErrorKind;
+use std::io::{ErrorKind, Read, Write};
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 
@@ -12,6 +12,8 @@ use crate::run::RunError;
 
 /// The file that marks a folder being written. Its writer holds a lock on it, which ends with the process.
 const MARK: &str = ".unfinished";
+/// What the mark says. A folder without it is none of a run, whatever else is in it: a file of that name may come with any archive.
+const SAYS: &[u8] = b"rockface is writing this run folder\n";
 /// Starts the names of folders that are not marked yet.
 const BEGUN: &str = ".begun-";
 /// Starts the names of links that are to become `latest`.
@@ -42,7 +44,12 @@ impl Unfinished {
             let folder = builder.prefix(BEGUN).permissions(Permissions::from_mode(0o777)).tempdir_in(runs);
             let folder = folder.map_err(failed(runs))?.keep();
             let path = folder.join(MARK);
-            match File::create(&path).and_then(|file| file.lock().map(|()| file)) {
+            let marked = File::create(&path).and_then(|mut file| {
+                file.lock()?;
+                file.write_all(SAYS)?;
+                file.sync_all().map(|()| file)
+            });
+            match marked {
                 // Swept up before it was locked? Then begin another.
                 Ok(file) if path.exists() => {
                     // No power cut leaves a folder of a run without it.
@@ -111,7 +118,8 @@ fn remove_marked(folder: &Path) -> std::io::Result<()> {
 }
 
 /// Removes the folders whose writers died before they were whole, and links that never became `latest`. A folder whose
-/// manifest is there lacks nothing but the end of its mark. What cannot be removed now is left for another time.
+/// manifest is there lacks nothing but the end of its mark. What cannot be removed now is left for another time. Only folders with
+/// a name that runs have, or that begun ones have, are looked at, and of these only what the mark of a run is in.
 pub fn sweep(runs: &Path) {
     for entry in std::fs::read_dir(runs).into_iter().flatten().flatten() {
         let (path, name) = (entry.path(), entry.file_name());
@@ -120,16 +128,30 @@ pub fn sweep(runs: &Path) {
         if kind.is_symlink() && starts_with(STAGED) {
             // A process that is about to rename it makes another.
             let _ = std::fs::remove_file(&path);
-        } else if kind.is_dir() {
+        } else if kind.is_dir() && (starts_with(BEGUN) || is_name_of_run(name.as_encoded_bytes())) {
             sweep_folder(&path, starts_with(BEGUN));
         }
     }
 }
 
+/// Whether a name begins as those of run folders do: `2026-01-31T235959Z-`.
+fn is_name_of_run(name: &[u8]) -> bool {
+    const FORM: &[u8] = b"0000-00-00T000000Z-";
+    let fits = |(letter, form): (&u8, &u8)| if *form == b'0' { letter.is_ascii_digit() } else { letter == form };
+    name.len() > FORM.len() && name.iter().zip(FORM).all(fits)
+}
+
+/// Whether a mark says what marks of run folders say; its process may have died before it said all of it, with nothing in the folder yet.
+fn is_mark(file: &File, is_begun: bool) -> bool {
+    let mut said = Vec::new();
+    let read = file.take(SAYS.len() as u64 + 1).read_to_end(&mut said);
+    read.is_ok() && (said == SAYS || is_begun && SAYS.starts_with(&said))
+}
+
 fn sweep_folder(folder: &Path, is_begun: bool) {
     let mark = folder.join(MARK);
     // Opened for writing: network file systems lock no other files. The lock is held until the folder is gone.
-    let held = rockface_cache::open_plain(File::options().write(true), &mark);
+    let held = rockface_cache::open_plain(File::options().read(true).write(true), &mark);
     if held.as_ref().is_err_and(|error| is_begun && error.kind() == ErrorKind::NotFound) {
         // Only if it is still empty: its process may have marked it since. One that is about to mark it begins another.
         let _ = std::fs::remove_dir(folder);
@@ -137,6 +159,7 @@ fn sweep_folder(folder: &Path, is_begun: bool) {
     if let Ok(file) = &held
         && file.try_lock().is_ok()
         && mark.exists()
+        && is_mark(file, is_begun)
     {
         let _ = match std::fs::metadata(folder.join(crate::history::MANIFEST_FILE)) {
             Ok(_) => std::fs::remove_file(&mark),
@@ -187,22 +210,33 @@ mod tests {
             assert!(begun.rename(&path(name)).unwrap());
             begun
         };
-        let writing = begin("held");
-        drop((begin("left"), begin("whole"), Unfinished::begin(runs.path()).unwrap()));
-        std::fs::write(path("whole/run.json"), "{}").unwrap();
+        let [held, left, whole, other] =
+            ["held", "left", "whole", "other"].map(|name| format!("2026-01-31T235959Z-{name}"));
+        let writing = begin(&held);
+        drop((begin(&left), begin(&whole), Unfinished::begin(runs.path()).unwrap()));
+        std::fs::write(path(&whole).join("run.json"), "{}").unwrap();
         for name in ["foreign", ".begun-and-died"] {
             std::fs::create_dir(path(name)).unwrap();
         }
-        std::os::unix::fs::symlink("whole", path(".latest-1")).unwrap();
+        // Folders of other things, with a file that is called as marks are, or with a mark under a name that no run has.
+        let others =
+            [(other.as_str(), ""), (".begun-scans", "my list"), ("scans", "rockface is writing this run folder\n")];
+        for (name, mark) in others {
+            std::fs::create_dir(path(name)).unwrap();
+            std::fs::write(path(name).join(MARK), mark).unwrap();
+            std::fs::write(path(name).join("cliff.laz"), "the only one").unwrap();
+        }
+        std::os::unix::fs::symlink(&whole, path(".latest-1")).unwrap();
         sweep(runs.path());
         let mut left: Vec<_> =
             std::fs::read_dir(runs.path()).unwrap().map(|entry| entry.unwrap().file_name()).collect();
         left.sort();
-        assert_eq!(left, ["foreign", "held", "whole"]);
-        assert!(path("held").join(MARK).exists() && !path("whole").join(MARK).exists());
+        assert_eq!(left, [".begun-scans", &held, &other, &whole, "foreign", "scans"].map(std::ffi::OsString::from));
+        assert!(others.iter().all(|(name, _)| path(name).join("cliff.laz").exists()));
+        assert!(path(&held).join(MARK).exists() && !path(&whole).join(MARK).exists());
         writing.finish().unwrap();
         sweep(runs.path());
-        assert!(path("held").exists());
+        assert!(path(&held).exists());
     }
 
     #[test]

@@ -11,5 +11,6 @@ mod work;
 mod workers;
 
 pub use failure::Failure;
+pub use program::INHERITED;
 pub use work::{Done, Feed, Source, Task, Value};
 pub use workers::{Result, Workers};

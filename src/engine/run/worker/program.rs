@@ -9,15 +9,17 @@ use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::Duration;
 
 use rockface_cache::{SafePath, Scratch, Store, StoreError};
+use rockface_core::limits::memory_limit;
 use rockface_core::{Piece, Program, ProgramResult, StageError};
 use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process_group, waitid};
 use wait4::Wait4;
 
 use super::tools::{self, Call, Tools};
 use crate::plan::{InputFile, kind_of};
+use crate::run::MachineMemory;
 
 /// What reaches every program from outside.
-const INHERITED: [&str; 5] = ["PATH", "HOME", "USER", "LOGNAME", "LD_LIBRARY_PATH"];
+pub const INHERITED: [&str; 5] = ["PATH", "HOME", "USER", "LOGNAME", "LD_LIBRARY_PATH"];
 
 /// How often it is looked at whether a program has ended or is to be ended.
 const LOOK_EVERY: Duration = Duration::from_millis(10);
@@ -78,7 +80,7 @@ pub fn execute(
         return Err(StoreError::DiskFull { path: folder.to_owned() }.into());
     }
     let read = in_folder("read what a program left in", folder);
-    let (outputs, others) = collected(&program.outputs, folder).map_err(&read)?;
+    let (outputs, others) = collected(&program.outputs, folder, largest_outputs()).map_err(&read)?;
     let result = ProgramResult {
         exit_code: status.code(),
         signal: status.signal(),
@@ -224,16 +226,34 @@ pub fn kept_of(path: &Path) -> std::io::Result<String> {
 /// The bytes of files by their place in the folder of the program.
 type Collected = BTreeMap<String, Vec<u8>>;
 
+/// What is in place of a file that does not fit into memory.
+const TOO_LARGE: &str = "a file that is too large for the memory of a run";
+
 /// What is in place of wanted files, by the place of these.
 type Others = BTreeMap<String, &'static str>;
 
-/// The wanted files that are there, and what is in place of others.
-pub fn collected(wanted: &[String], folder: &Path) -> std::io::Result<(Collected, Others)> {
-    let (mut outputs, mut others) = (Collected::new(), Others::new());
+/// What may be read of the files of a program, bytes: what the values of one file may take, and no more than is left on the machine.
+pub fn largest_outputs() -> u64 {
+    memory_limit().min(MachineMemory::now().map_or(u64::MAX, |memory| memory.left))
+}
+
+/// The wanted files that are there, and what is in place of others: of files that are larger than `most` bytes together only that.
+pub fn collected(wanted: &[String], folder: &Path, most: u64) -> std::io::Result<(Collected, Others)> {
+    let (mut outputs, mut others, mut left) = (Collected::new(), Others::new(), most);
     for place in wanted {
         let path = folder.join(place);
         match fs::metadata(&path).or_else(|_| fs::symlink_metadata(&path)) {
-            Ok(found) if found.is_file() => drop(outputs.insert(place.clone(), fs::read(&path)?)),
+            Ok(found) if found.is_file() => {
+                let (mut bytes, file) = (Vec::new(), File::open(&path)?);
+                // A file with holes may have any length, and one that is still written to another one now.
+                let is_large = found.len() > left || file.take(left + 1).read_to_end(&mut bytes)? as u64 > left;
+                if is_large {
+                    others.insert(place.clone(), TOO_LARGE);
+                } else {
+                    left -= bytes.len() as u64;
+                    outputs.insert(place.clone(), bytes);
+                }
+            }
             Ok(found) if found.is_symlink() => drop(others.insert(place.clone(), "a link that leads nowhere")),
             Ok(found) => drop(others.insert(place.clone(), kind_of(found.file_type()))),
             // It is not there.
@@ -257,9 +277,14 @@ mod tests {
         std::os::unix::fs::symlink(place("file"), place("link")).unwrap();
         std::os::unix::fs::symlink(place("nowhere"), place("dangling")).unwrap();
         let wanted = ["file", "folder", "pipe", "link", "dangling", "none"].map(str::to_owned);
-        let (outputs, others) = collected(&wanted, folder.path()).unwrap();
+        let (outputs, others) = collected(&wanted, folder.path(), 1000).unwrap();
         assert_eq!(outputs.into_keys().collect::<Vec<_>>(), ["file", "link"]);
         let expected = [("dangling", "a link that leads nowhere"), ("folder", "a folder"), ("pipe", "a pipe")];
         assert_eq!(others, expected.map(|(place, kind)| (place.to_owned(), kind)).into());
+        File::create(place("sparse")).unwrap().set_len(1 << 40).unwrap();
+        let wanted = ["sparse", "file", "link"].map(str::to_owned);
+        let (outputs, others) = collected(&wanted, folder.path(), 9).unwrap();
+        assert_eq!(outputs.into_keys().collect::<Vec<_>>(), ["file"]);
+        assert_eq!(others, ["link", "sparse"].map(|place| (place.to_owned(), TOO_LARGE)).into());
     }
 }

@@ -128,7 +128,8 @@ impl Process {
         let read = in_folder("read what a program left in", &folder);
         result.stdout = program::kept_of(&folder.join("stdout")).map_err(&read)?;
         result.stderr = program::kept_of(&folder.join("stderr")).map_err(&read)?;
-        (result.outputs, result.others) = program::collected(&job.outputs, &folder).map_err(&read)?;
+        (result.outputs, result.others) =
+            program::collected(&job.outputs, &folder, program::largest_outputs()).map_err(&read)?;
         clear(&folder).map_err(in_folder("empty", &folder))?;
         Ok((JobResult { answer, result }, used))
     }

@@ -47,8 +47,8 @@ params! {
 /// The interpreter: that of the environment rockface is installed in or is called from.
 const INTERPRETER: Found = Found { variable: "ROCKFACE_PYTHON", name: "python3" };
 
-/// Variables that decide which packages an interpreter finds.
-const VARIABLES: [&str; 3] = ["PYTHONPATH", "VIRTUAL_ENV", "CONDA_PREFIX"];
+/// Variables that decide which interpreter is found, and which packages it finds.
+const VARIABLES: [&str; 4] = [INTERPRETER.variable, "PYTHONPATH", "VIRTUAL_ENV", "CONDA_PREFIX"];
 
 /// Calls a function of a Python file over typed inputs and outputs: your own noise, detector or figure as a cached
 /// step.
@@ -63,6 +63,7 @@ impl Stage for Python {
     const OUTPUTS: &'static [Port] = &[];
     const STARTS_PROGRAMS: bool = true;
     const IS_COMPLETED: bool = true;
+    const VARIABLES: &'static [&'static str] = &VARIABLES;
 
     fn complete(with: &Value, planner: &dyn Planner) -> Result<Map<String, Value>, Vec<Fault>> {
         describe::complete(with, planner)
@@ -127,7 +128,7 @@ fn program(params: &PythonParams) -> Program {
         program: vec![Piece::Found(INTERPRETER)],
         args: vec![text("-m"), text("rockface._worker"), vec![Piece::File(params.module.0.clone())]],
         environment: fixed.map(|(name, value)| (name.to_owned(), value.to_owned())).into(),
-        inherit: VARIABLES.iter().map(ToString::to_string).chain(params.inherit.iter().cloned()).collect(),
+        inherit: VARIABLES[1..].iter().map(ToString::to_string).chain(params.inherit.iter().cloned()).collect(),
         inputs: Vec::new(),
         outputs: Vec::new(),
     }

@@ -212,7 +212,8 @@ impl Work for PlaceRow<'_> {
     }
 }
 
-/// A rectangle in X and Y that holds all points, from the outline of the image at the least and largest depth.
+/// A rectangle in X and Y that holds all points, from the outline of the image at the least and largest depth. Where the lens has no ray
+/// for a pixel of the outline, since its distortion folds back before it, the pixels that see something are looked at themselves.
 fn reach(depth: &Depth, camera: &Camera) -> Option<[f64; 4]> {
     let (mut low, mut high) = (f32::INFINITY, 0.0f32);
     for z in depth.z.iter().filter(|z| Depth::is_seen(**z)) {
@@ -222,14 +223,29 @@ fn reach(depth: &Depth, camera: &Camera) -> Option<[f64; 4]> {
     let columns = (0..depth.width).flat_map(|column| [(column, 0), (column, bottom)]);
     let outline = columns.chain((0..depth.height).flat_map(|row| [(0, row), (right, row)]));
     let mut reach = [f64::INFINITY, f64::NEG_INFINITY, f64::INFINITY, f64::NEG_INFINITY];
+    let mut add = |ray: [f64; 2], z_m: f32| {
+        let p = camera.unproject(ray, f64::from(z_m));
+        reach = [reach[0].min(p.x), reach[1].max(p.x), reach[2].min(p.y), reach[3].max(p.y)];
+    };
+    let mut is_whole = true;
     for (column, row) in outline {
-        let Some(ray) = camera.normalised(full_pixel(column, row, depth.downscale)) else { continue };
-        for z in [low, high] {
-            let p = camera.unproject(ray, f64::from(z));
-            reach = [reach[0].min(p.x), reach[1].max(p.x), reach[2].min(p.y), reach[3].max(p.y)];
+        match camera.normalised(full_pixel(column, row, depth.downscale)) {
+            Some(ray) => [low, high].into_iter().for_each(|z| add(ray, z)),
+            None => is_whole = false,
         }
     }
-    (low <= high).then_some(reach)
+    if !is_whole {
+        for row in 0..depth.height {
+            let mut rays = RayRow::new(camera, row, depth.downscale);
+            let seen = (0..depth.width).filter(|column| Depth::is_seen(depth.z[row * depth.width + column]));
+            for column in seen {
+                if let Some(ray) = rays.ray(column) {
+                    add(ray, depth.z[row * depth.width + column]);
+                }
+            }
+        }
+    }
+    (low <= high && reach[0] <= reach[1]).then_some(reach)
 }
 
 /// The part of a grid that has values.
@@ -323,6 +339,22 @@ mod tests {
             *cell = [cell[0] + weight, cell[1] + weight * f64::from(point.z as f32), cell[2] + 1.0];
         }
         sums
+    }
+
+    #[test]
+    fn a_lens_that_folds_back_before_the_outline_loses_no_pixel() {
+        // The lens has no inverse beyond a radius of 0.24, 24 pixels from the middle.
+        let mut depth = plane([0.0; 3]);
+        depth.sensor.k = [-2.5, 0.0, 0.0, 0.0];
+        let camera = Camera::of_depth(&depth);
+        for pixel in 0..depth.z.len() {
+            if camera.normalised(full_pixel(pixel % depth.width, pixel / depth.width, 1)).is_none() {
+                depth.z[pixel] = f32::NAN;
+            }
+        }
+        let seen = depth.z.iter().filter(|z| z.is_finite()).count();
+        let cells = reduce(&depth, Sigma::Constant(0.01), 0.2, None).unwrap().unwrap();
+        assert!(seen > 1000 && cells.pixels == [seen; 2], "{seen} {:?}", cells.pixels);
     }
 
     #[test]

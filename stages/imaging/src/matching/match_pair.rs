@@ -123,12 +123,17 @@ fn choose_pair<'a>(params: &MatchPairParams, pairs: &'a Pairs) -> Result<&'a Pai
 }
 
 fn check_depths(pair: &Pair, [first, second]: [&Depth; 2]) -> Result<(), StageError> {
+    let is_exchanged = first.image.name == pair.second && second.image.name == pair.first;
     for (port, depth, expected) in [("first", first, &pair.first), ("second", second, &pair.second)] {
         let name = &depth.image.name;
         if name != expected {
             let text =
                 format!("`{port}` is the depth map of image `{name}`; pair `{}` needs that of `{expected}`", pair.name);
-            return Err(StageError::new(text).hint("check the two inputs, or choose another `pair`"));
+            return Err(StageError::new(text).hint(if is_exchanged {
+                "exchange `first` and `second`: `select-pairs` gives the order"
+            } else {
+                "check the two inputs, or choose another `pair`"
+            }));
         }
         check_size(&format!("`{port}`"), depth)?;
     }

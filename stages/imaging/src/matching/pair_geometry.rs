@@ -52,22 +52,47 @@ impl<'a> PairGeometry<'a> {
         Ok(SmoothNoise::new(key, recipe, low, high))
     }
 
-    /// Lowest and highest rectified position of the outermost pixels of the first image, pixels.
+    /// Lowest and highest rectified position of the outermost pixels of the first image, pixels. Where the lens or the rectified plane has no
+    /// place for one of them, those of all pixels that see something and have one.
     fn rectified_extent(&self) -> Result<[[f64; 2]; 2], StageError> {
-        let (depth, noisy) = (self.ideal[Side::First], &self.noisy[Side::First]);
+        let depth = self.ideal[Side::First];
+        if let Ok(extent) = self.extent_over(outline(depth.width, depth.height)) {
+            return Ok(extent);
+        }
+        let pixel = |at: usize| (at % depth.width, at / depth.width);
+        let seeing = (0..depth.z.len()).filter(|at| depth.z[*at].is_finite()).map(pixel);
+        let placed = seeing.filter(|pixel| self.placed(*pixel).is_ok());
+        let extent = self.extent_over(placed)?;
+        if extent[0][0] <= extent[1][0] {
+            return Ok(extent);
+        }
+        // What is wrong with one that sees something, or else with the outermost.
+        let mut seeing = (0..depth.z.len()).filter(|at| depth.z[*at].is_finite()).map(pixel);
+        seeing.try_for_each(|pixel| self.placed(pixel).map(drop))?;
+        self.extent_over(outline(depth.width, depth.height))
+    }
+
+    fn extent_over(&self, pixels: impl Iterator<Item = (usize, usize)>) -> Result<[[f64; 2]; 2], StageError> {
         let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
-        for (column, row) in outline(depth.width, depth.height) {
-            let Some(ray) = noisy.normalised(full_pixel(column, row, depth.downscale)) else {
-                return Err(not_rectified(column, row, depth)
-                    .hint("its lens distortion cannot be inverted there: check signs and units of the coefficients"));
-            };
-            let Some(Placed { position_px: p, .. }) = self.rectification.place(Side::First, ray) else {
-                return Err(not_rectified(column, row, depth)
-                    .hint("the axes of the two images diverge too much: pair images that look the same way"));
-            };
+        for pixel in pixels {
+            let p = self.placed(pixel)?;
             (low, high) = ([low[0].min(p[0]), low[1].min(p[1])], [high[0].max(p[0]), high[1].max(p[1])]);
         }
         Ok([low, high])
+    }
+
+    /// The rectified position of a pixel (column, row) of the first image, pixels.
+    fn placed(&self, (column, row): (usize, usize)) -> Result<[f64; 2], StageError> {
+        let (depth, noisy) = (self.ideal[Side::First], &self.noisy[Side::First]);
+        let Some(ray) = noisy.normalised(full_pixel(column, row, depth.downscale)) else {
+            return Err(not_rectified(column, row, depth)
+                .hint("its lens distortion cannot be inverted there: check signs and units of the coefficients"));
+        };
+        let Some(Placed { position_px, .. }) = self.rectification.place(Side::First, ray) else {
+            return Err(not_rectified(column, row, depth)
+                .hint("the axes of the two images diverge too much: pair images that look the same way"));
+        };
+        Ok(position_px)
     }
 }
 

@@ -95,6 +95,18 @@ impl Rectification {
         Placed { position_px: [ray[0] * scale + self.centre_x_px[side], ray[1] * scale + self.centre_y_px], slant }
     }
 
+    /// Rectified pixels along the baseline of one image pixel at the principal point of image `side`.
+    pub fn pixels_along_base(&self, side: Side, camera: &Camera) -> Option<f64> {
+        let sensor = camera.sensor();
+        let at = |dx: f64, dy: f64| {
+            let ray = camera.normalised([sensor.cx + dx, sensor.cy + dy])?;
+            self.place(side, ray).map(|placed| placed.position_px[0])
+        };
+        let across = |dx: f64, dy: f64| Some(at(dx, dy)? - at(-dx, -dy)?);
+        let (x, y) = (across(0.5, 0.0)?, across(0.0, 0.5)?);
+        Some((x * x + y * y).sqrt())
+    }
+
     /// Depth across the rectified plane of a disparity `x1 - x2`, metres; `None` at or beyond infinity.
     pub fn distance_m(&self, disparity_px: f64) -> Option<f64> {
         Some(self.focal_px * self.baseline_m / self.parallax_px(disparity_px)?)

@@ -54,7 +54,7 @@ pub struct ForecastPrecision;
 impl Stage for ForecastPrecision {
     type Params = ForecastPrecisionParams;
     const NAME: &'static str = "forecast-precision";
-    const VERSION: u32 = 6;
+    const VERSION: u32 = 7;
     const PAGE: Page = Page::new(include_str!("forecast_precision.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("cameras", &[Kind::Cameras], "The planned block."),
@@ -109,7 +109,7 @@ impl Stage for ForecastPrecision {
         if compared_at.as_ref().is_some_and(Vec::is_empty) {
             fail!("no part of the face lies where the difference has values");
         }
-        let survey = Survey::new(params, cameras, joint);
+        let survey = Survey::new(params, cameras, joint, difference.is_some());
         let visibility = Visibility::new(cameras, mesh);
         let mut pairs = chosen_pairs(params, inputs.optional("pairs")?, cameras, &points, context)?;
         pairs.retain(|pair| !pair.iter().any(|image| visibility.is_behind(*image)));
@@ -210,10 +210,11 @@ struct Forecast {
 }
 
 impl<'a> Survey<'a> {
-    fn new(params: &ForecastPrecisionParams, cameras: &'a Cameras, joint: Option<Joint>) -> Self {
+    /// Elevations of a difference are along Z in every frame.
+    fn new(params: &ForecastPrecisionParams, cameras: &'a Cameras, joint: Option<Joint>, along_z: bool) -> Self {
         let ready = cameras.images.iter().map(|image| Camera::new(cameras.sensor(image), image)).collect();
         let axes = cameras.images.iter().fold(Vector3::zeros(), |sum, image| sum + image.axis());
-        let direction = if cameras.frame == Frame::Wall { Vector3::z() } else { axes.normalize() };
+        let direction = if along_z || cameras.frame == Frame::Wall { Vector3::z() } else { axes.normalize() };
         let along = params.kernel.mean_variance();
         let share = if params.variance == Variance::Nodes { along * along } else { 1.0 };
         let regular_px = params.sigma_regular_px * share.sqrt();

@@ -118,6 +118,14 @@ impl<'a> Views<'a> {
         self.depths[i].iter().zip(&self.depths[j]).filter(|(a, b)| a.is_some() && b.is_some()).count()
     }
 
+    /// The share of the sampled vertices that lie in both images of one of these pairs, by their numbers in the block.
+    pub fn share_in(&self, pairs: &[[usize; 2]]) -> f64 {
+        let count = self.depths.first().map_or(0, Vec::len);
+        let sees = |image: usize, vertex: usize| self.depths[image][vertex].is_some();
+        let covered = (0..count).filter(|vertex| pairs.iter().any(|[a, b]| sees(*a, *vertex) && sees(*b, *vertex)));
+        covered.count() as f64 / count.max(1) as f64
+    }
+
     /// The smaller of the shares that two images have of each other's vertices, and the mean depth (m) of the shared ones in both.
     fn shared(&self, first: usize, second: usize) -> Option<(f64, f64)> {
         let seen = [first, second].map(|image| self.depths[image].iter().flatten().count());

@@ -2,6 +2,9 @@
 
 use std::collections::BTreeMap;
 
+use crate::camera::model::Camera;
+use crate::matching::rectification::Rectification;
+use crate::matching::side::Side;
 use crate::survey::overlap::{NoPair, Views};
 use rockface_core::artefact::{Cameras, Kind, Mesh, Pair, Pairs};
 use rockface_core::numerics::union_find::UnionFind;
@@ -10,6 +13,10 @@ use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, Sta
 
 /// Vertices sampled for the overlap of images.
 const SAMPLES: usize = 20_000;
+/// Pixels of disparity that a pixel of an image may be without a warning.
+const MOST_STRETCHED: f64 = 1.3;
+/// Share of the face that pairs beyond `neighbours` may have alone without a warning.
+const LOST_SHARE: f64 = 0.005;
 
 choice! {
     /// Which pairs of an image come first.
@@ -48,7 +55,7 @@ pub struct SelectPairs;
 impl Stage for SelectPairs {
     type Params = SelectPairsParams;
     const NAME: &'static str = "select-pairs";
-    const VERSION: u32 = 6;
+    const VERSION: u32 = 7;
     const PAGE: Page = Page::new(include_str!("select_pairs.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("cameras", &[Kind::Cameras], "The true orientation."),
@@ -96,13 +103,45 @@ impl Stage for SelectPairs {
                 context.warn(format!("{}, beyond {}", figures(pair), broken.join(", ")));
             }
         }
+        warn_of_inclined(cameras, &pairs, context);
         context.metric("pairs", pairs.len() as f64, "1");
+        context.metric("face_in_pairs", views.share_in(&numbers(cameras, &pairs)), "1");
         let mut paired = cameras.clone();
         paired.images.retain(|image| pairs.iter().any(|pair| [&pair.first, &pair.second].contains(&&image.name)));
         if params.list.is_none() {
             warn_of_single_images(cameras, &paired, context);
         }
         Ok(Outputs::of("pairs", Pairs { pairs }).and("cameras", paired))
+    }
+}
+
+/// The numbers of the images of each pair in the block.
+fn numbers(cameras: &Cameras, pairs: &[Pair]) -> Vec<[usize; 2]> {
+    let place = |name: &str| cameras.images.iter().position(|image| image.name == name);
+    pairs.iter().filter_map(|pair| Some([place(&pair.first)?, place(&pair.second)?])).collect()
+}
+
+/// Disparity counts pixels of the rectified images. Where the baseline is inclined to the view, one of the two is stretched there, and noise of
+/// disparity is less than as many of its own pixels.
+fn warn_of_inclined(cameras: &Cameras, pairs: &[Pair], context: &Context) {
+    let mut inclined = Vec::new();
+    for (pair, images) in pairs.iter().zip(numbers(cameras, pairs)) {
+        let ready = images.map(|image| Camera::new(cameras.sensor(&cameras.images[image]), &cameras.images[image]));
+        let Ok(rectification) = Rectification::new([&ready[0], &ready[1]], 1) else { continue };
+        let scale = |side: Side| rectification.pixels_along_base(side, &ready[side]).unwrap_or(0.0);
+        let largest = Side::BOTH.map(scale).into_iter().fold(0.0, f64::max);
+        if largest > MOST_STRETCHED {
+            inclined.push((largest, pair));
+        }
+    }
+    inclined.sort_by(|(one, _), (other, _)| other.total_cmp(one));
+    if let Some((largest, pair)) = inclined.first() {
+        let others = if inclined.len() > 1 { format!(" and {} more", inclined.len() - 1) } else { String::new() };
+        context.warn(format!(
+            "the baseline of {}{others} is inclined to the view: a pixel of one of its images is {largest:.2} pixels of disparity, so noise of so many \
+             pixels is less there than in the image; leave the pair out, or raise its noise by that",
+            pair.name
+        ));
     }
 }
 
@@ -196,6 +235,14 @@ fn within_limits(
         context.warn(format!(
             "with {most} pairs of an image at most (`neighbours`) the images fall into {parts} groups that no pair joins, all pairs within \
              the limits make {all_parts}: a difference is noisier where groups meet; raise `neighbours`"
+        ));
+    }
+    let [share, whole] = [&kept, &chosen].map(|pairs| views.share_in(&numbers(cameras, pairs)));
+    if whole - share > LOST_SHARE {
+        context.warn(format!(
+            "with {most} pairs of an image at most (`neighbours`) {:.1} % of the face lie in a pair, with all pairs within the limits {:.1} %: raise `neighbours`",
+            100.0 * share,
+            100.0 * whole
         ));
     }
     Ok(kept)
@@ -409,6 +456,30 @@ mod tests {
             weight(Order::Precision, &cameras, &pair) / (pair.overlap * ratio * ratio)
         });
         assert!((level - 1.0).abs() < 1e-12 && (deep - 1.0).abs() < 1e-12, "{level} {deep}");
+    }
+
+    #[test]
+    fn a_baseline_inclined_to_the_view_and_a_part_of_the_face_that_is_lost_are_warned_of() {
+        let warnings = |cameras: &Cameras, with: &Value| {
+            let host = TestHost::default();
+            select_on(&host, cameras, face(Frame::Wall), with).unwrap();
+            (host.warnings(), host.metric("face_in_pairs").unwrap())
+        };
+        let mut cameras = row(&[("a", 0.0), ("b", 2.0)]);
+        assert_eq!(warnings(&cameras, &json!({})).0, [""; 0]);
+        cameras.images[1].centre_m[2] = 24.0;
+        let (told, _) = warnings(&cameras, &json!({"min_overlap": 0.3}));
+        assert!(told[0].starts_with("the baseline of a+b is inclined"), "{told:?}");
+        // Footprints of 10 m: three pairs have 14 m x 10 m of 40 m x 20 m in common, the two that are left 12 m.
+        let cameras = row(&[("a", 0.0), ("b", 4.0), ("c", 8.0), ("d", 12.0)]);
+        let (told, share) = warnings(&cameras, &json!({"min_overlap": 0.1}));
+        assert!(told.is_empty() && (share - 0.175).abs() < 0.005, "{told:?} {share}");
+        let (told, share) = warnings(&cameras, &json!({"min_overlap": 0.1, "neighbours": 1}));
+        assert!(
+            told.iter().any(|text| text.contains("of the face lie in a pair, with all pairs"))
+                && (share - 0.15).abs() < 0.005,
+            "{told:?} {share}"
+        );
     }
 
     /// Two rows of images before a face that ends soon after them.

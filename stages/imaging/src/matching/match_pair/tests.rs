@@ -317,6 +317,30 @@ fn the_bytes_do_not_depend_on_the_number_of_threads() {
 }
 
 #[test]
+fn pixels_that_see_nothing_need_no_place_in_the_rectified_image() {
+    // Beyond a radius of 0.337 this lens has no inverse: the corners of the image are farther out.
+    let folding = Sensor { k: [-1.3, 0.0, 0.0, 0.0], ..small_sensor() };
+    let small = height_mesh(60, [-2.0, 2.0, -1.5, 1.5], |x, _| 0.1 * x);
+    let scene = scene(convergent(folding), &small, 1);
+    assert!(Camera::of_depth(&scene.depths[0]).normalised([0.0, 0.0]).is_none());
+    let deviation = |with: Value| {
+        let errors: Vec<f64> = scene.depths[0]
+            .z
+            .iter()
+            .zip(&matched(&scene, &with).z)
+            .map(|(ideal, found)| f64::from(found - ideal))
+            .collect();
+        let errors: Vec<f64> = errors.into_iter().filter(|error| error.is_finite()).collect();
+        assert!(errors.len() > 100, "{}", errors.len());
+        (errors.iter().map(|error| error * error).sum::<f64>() / errors.len() as f64).sqrt()
+    };
+    let quiet = deviation(json!({"sigma_local_px": 0, "sigma_regular_px": 0}));
+    let smooth = deviation(json!({"sigma_local_px": 0, "sigma_regular_px": 0.5, "spacing_px": 10}));
+    // Half a pixel of disparity is 0.5 m there.
+    assert!(quiet < 1e-4 && smooth > 0.1 && smooth < 1.0, "{quiet} {smooth}");
+}
+
+#[test]
 fn it_says_what_does_not_fit() {
     let base = || scene(convergent(small_sensor()), &wavy(), 2);
     let error = |scene: &Scene, with: Value| run(scene, &TestHost::default(), &with).unwrap_err().message;
@@ -324,6 +348,8 @@ fn it_says_what_does_not_fit() {
     let mut bad = base();
     bad.depths.swap(0, 1);
     assert!(error(&bad, json!({})).contains("`first` is the depth map of image `right`"));
+    let hint = run(&bad, &TestHost::default(), &json!({})).unwrap_err().hint.unwrap();
+    assert!(hint.contains("exchange `first` and `second`"), "{hint}");
     bad = base();
     bad.depths[1] = scene(convergent(small_sensor()), &wavy(), 1).depths[1].clone();
     assert!(error(&bad, json!({})).contains("downscale"));
