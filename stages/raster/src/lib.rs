@@ -13,6 +13,7 @@ pub mod point_rows;
 pub mod raster_surface;
 pub mod rasterise;
 pub mod rasterise_points;
+pub mod robust_mean;
 pub mod shape;
 pub mod strange_values;
 pub mod surface_cleaning;

@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 
 use crate::detection::detectability;
 use crate::detection::detectability::Class;
-use crate::noise::acceptance_rate::wilson_interval;
 use rockface_core::artefact::{Cell, Kind, Table};
+use rockface_core::numerics::proportion::wilson_interval;
 use rockface_core::numerics::quantile::median;
 use rockface_core::params::Range;
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params, table_row};

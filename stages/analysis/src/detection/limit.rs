@@ -1,13 +1,11 @@
 //! Limits of detection on rasters: from the spread of the difference itself, or from registration error and roughness.
 
 use rayon::prelude::*;
+use rockface_core::numerics::normal::NORMAL_95;
 use rockface_core::numerics::{marginal, quantile};
 
 /// Cells a local plane needs: three for the plane, three for the spread about it.
 const LEAST_CELLS: f64 = 6.0;
-/// Half width of the 95 % interval of a normal value, in standard deviations.
-pub const NORMAL_95: f64 = 1.96;
-
 /// How registration error and roughness of both surfaces make one limit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Combination {

@@ -8,7 +8,7 @@ use rockface_core::numerics::simd::{Work, vectorised};
 
 use super::cloud::{Cloud, Cylinder, Stack};
 use super::core_cells::CoreCells;
-use super::limit::NORMAL_95;
+use rockface_core::numerics::normal::NORMAL_95;
 
 /// The most by which an area grows on its way, in size: noise of normals and distances would give a few cells more.
 pub const MOST_SHARE: f64 = 3.0;

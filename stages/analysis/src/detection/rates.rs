@@ -3,7 +3,7 @@
 use rand::Rng;
 
 use super::score::{Counts, f1};
-use crate::noise::acceptance_rate::exact_interval;
+use rockface_core::numerics::proportion::exact_interval;
 use rockface_core::numerics::quantile;
 use rockface_core::numerics::random::Key;
 

@@ -2,8 +2,8 @@
 
 use crate::detection::detectability;
 use crate::figure::chart::{Axes, Axis, Ink, Layer, Mark, Panel, Sheet, draw};
-use crate::noise::acceptance_rate::wilson_interval;
 use rockface_core::artefact::{Inventory, Kind};
+use rockface_core::numerics::proportion::wilson_interval;
 use rockface_core::params::Range;
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params};
 use rockface_raster::columns;

@@ -1,7 +1,7 @@
 //! What share of rasters an acceptance test lets through: of the reference, of others, and of a perfect simulator.
 
 use rockface_core::numerics::beta;
-use rockface_core::numerics::normal::NORMAL_975;
+use rockface_core::numerics::proportion::rounded;
 
 use super::mahalanobis::bound;
 
@@ -13,23 +13,6 @@ pub fn share_below(values: &[f64], threshold: f64) -> f64 {
 /// The share of reference values above a distance: the paper's compatibility score, exactly 0 beyond all of them.
 pub fn score(reference: &[f64], d2: f64) -> f64 {
     1.0 - share_below(reference, d2)
-}
-
-/// Wilson's 95 % interval for a probability of which `accepted` of `n` trials succeeded (Wilson 1927).
-pub fn wilson_interval(accepted: usize, n: usize) -> (f64, f64) {
-    let (k, n) = (accepted as f64, n as f64);
-    let z2 = NORMAL_975 * NORMAL_975;
-    let centre = (k + 0.5 * z2) / (n + z2);
-    let half = NORMAL_975 / (n + z2) * (k * (n - k) / n + 0.25 * z2).sqrt();
-    ((centre - half).max(0.0), (centre + half).min(1.0))
-}
-
-/// The exact 95 % interval of Clopper and Pearson (1934) for the same; never too narrow.
-pub fn exact_interval(accepted: usize, n: usize) -> (f64, f64) {
-    let (k, n) = (accepted as f64, n as f64);
-    let low = if accepted == 0 { 0.0 } else { beta::quantile(k, n - k + 1.0, 0.025) };
-    let high = if k >= n { 1.0 } else { beta::quantile(k + 1.0, n - k, 0.975) };
-    (rounded(low), rounded(high))
 }
 
 /// The share of a perfect simulator's rasters that a test is expected to accept, for normal features without ridge.
@@ -46,11 +29,6 @@ pub fn perfect_acceptance(n: usize, p: usize, quantile: f64) -> Option<f64> {
     // F <= x exactly where a Beta variable is at most p x / (p x + n - p).
     let px = threshold * nf * (nf - pf) / (nf * nf - 1.0);
     Some(rounded(beta::cumulative(0.5 * pf, 0.5 * (nf - pf), px / (px + nf - pf))))
-}
-
-/// Nine decimals, fewer than the incomplete beta function is good for.
-fn rounded(x: f64) -> f64 {
-    (x * 1e9).round() / 1e9
 }
 
 #[cfg(test)]
@@ -83,21 +61,6 @@ mod tests {
             assert!((bound(39) * beta::quantile(5.0, 14.0, level) - expected).abs() < 0.06);
         }
         assert!((bound(39) - 37.026).abs() < 1e-3);
-    }
-
-    #[test]
-    fn wilson_by_hand() {
-        let (low, high) = wilson_interval(46, 50);
-        assert!((low - 0.811_7).abs() < 1e-3 && (high - 0.968_4).abs() < 1e-3, "{low} {high}");
-        assert_eq!(wilson_interval(0, 10).0, 0.0);
-        assert_eq!(wilson_interval(10, 10).1, 1.0);
-    }
-
-    #[test]
-    fn exact_intervals_by_the_book() {
-        let (low, high) = exact_interval(46, 50);
-        assert!((low - 0.807_66).abs() < 1e-4 && (high - 0.977_77).abs() < 1e-4, "{low} {high}");
-        assert_eq!(exact_interval(0, 10), (0.0, 0.308_497_108));
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! `summarise-acceptance`: how many rasters pass the test at each quantile, with intervals and with what may be expected.
 
-use crate::noise::acceptance_rate::{exact_interval, perfect_acceptance, share_below, wilson_interval};
+use crate::noise::acceptance_rate::{perfect_acceptance, share_below};
 use crate::noise::chain;
 use crate::noise::descriptors::{GROUPS, feature_names, in_group, taken};
 use crate::noise::mahalanobis::{bound, distance, fit_labelled, leave_one_out_quantile};
@@ -9,6 +9,7 @@ use crate::noise::tested;
 use crate::noise::tested::Role;
 use rockface_core::artefact::{Cell, GroupModel, Kind, Table};
 use rockface_core::numerics::held_out::in_view;
+use rockface_core::numerics::proportion::{exact_interval, wilson_interval};
 use rockface_core::numerics::quantile::quantile;
 use rockface_core::params::{Fault, Range};
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params, table_row};

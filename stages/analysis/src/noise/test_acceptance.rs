@@ -1,12 +1,13 @@
 //! `test-acceptance`: says which rasters are compatible with the reference noise, and why the others are not.
 
-use crate::noise::acceptance_rate::{perfect_acceptance, score, share_below, wilson_interval};
+use crate::noise::acceptance_rate::{perfect_acceptance, score, share_below};
 use crate::noise::descriptors::GROUPS;
 use crate::noise::mahalanobis::{Distance, distance, leave_one_out_quantile};
 use crate::noise::perfect_simulator::{Expectation, Setting};
 use crate::noise::tested;
 use crate::noise::tested::Role;
 use rockface_core::artefact::{Acceptance, Cell, GroupModel, Kind, Table, TableRow};
+use rockface_core::numerics::proportion::wilson_interval;
 use rockface_core::numerics::quantile::quantile;
 use rockface_core::params::Range;
 use rockface_core::{Context, Inputs, Outputs, Page, Port, Stage, StageError, fail, params, table_row};

@@ -51,6 +51,12 @@ impl Ellipsoid {
     }
 }
 
+/// The EPSG code of the UTM zone (WGS 84) of a longitude and a latitude, degrees, without the exceptions around Norway.
+pub fn utm_zone([longitude, latitude]: [f64; 2]) -> u32 {
+    let zone = (((longitude + 180.0) / 6.0).floor() as u32 % 60) + 1;
+    if latitude < 0.0 { 32700 + zone } else { 32600 + zone }
+}
+
 /// The shift of geocentric coordinates on an older datum to WGS 84, by three or seven numbers: exact where the datum is defined by it, as the Swiss
 /// is, and good to some metres otherwise.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -20,7 +20,7 @@ pub mod wkt;
 
 pub use datums::known as known_datum;
 pub use degrees::{Degrees, is_like_wgs_84};
-pub use earth::{DatumShift, Ellipsoid};
+pub use earth::{DatumShift, Ellipsoid, utm_zone};
 pub use plane::Plane;
 pub use scale::Scale;
 pub use settle::{CrsName, Settled, Tool, settle, wall_without_system};

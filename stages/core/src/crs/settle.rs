@@ -3,7 +3,7 @@
 use serde_json::Value;
 
 use super::metric::in_metres;
-use super::{Crs, Heights, Kind, Scale, Stated, Unit, heights_for_depths, parts};
+use super::{Crs, Ellipsoid, Heights, Kind, Scale, Stated, Unit, heights_for_depths, parts, utm_zone};
 use crate::artefact::{Frame, Georeference};
 use crate::numerics::portable_math;
 use crate::params::{self, Fault, ParamType};
@@ -272,7 +272,7 @@ fn check_scale(path: &str, stated: &Stated, scale: Scale, tool: Tool, context: &
     let error = scale.error();
     if error > MOST_ERROR {
         let [longitude, latitude] = scale.place_deg;
-        let to = utm_zone(Kind::Geographic, [longitude, latitude, 0.0]);
+        let to = zone_of(Kind::Geographic, [longitude, latitude, 0.0]);
         let to = to.map_or_else(|| "EPSG:326NN".to_owned(), |code| format!("EPSG:{code}"));
         let text = format!(
             "`{path}` is in {name}, a map whose lengths at the site are {scale} times those on the ground; what is needed are metres on \
@@ -333,7 +333,7 @@ fn refusal(path: &str, who: &str, stated: &Stated, tool: Tool, first: Option<[f6
         let text = format!("`{path}` has {}, as {who} states; heights are needed", sort_of(stated));
         return StageError::new(text).hint(way_to_heights(stated, tool, path));
     }
-    let zone = first.and_then(|first| utm_zone(stated.kind, first));
+    let zone = first.and_then(|first| zone_of(stated.kind, first));
     let to = zone.map_or_else(|| "EPSG:326NN".to_owned(), |code| format!("EPSG:{code}"));
     let of_place = if zone.is_some() { "the UTM zone of the site" } else { "its UTM zone (NN)" };
     let command = reprojected(path, &to, tool);
@@ -344,31 +344,22 @@ fn refusal(path: &str, who: &str, stated: &Stated, tool: Tool, first: Option<[f6
     StageError::new(text).hint(format!("bring it to {of_place}: {command}"))
 }
 
-/// Radius of the Earth at the equator, metres.
-const EQUATOR_M: f64 = 6_378_137.0;
-
 /// The EPSG code of the UTM zone (WGS 84) of a point; `None` where it cannot be one.
-fn utm_zone(kind: Kind, [x, y, z]: [f64; 3]) -> Option<u32> {
+fn zone_of(kind: Kind, [x, y, z]: [f64; 3]) -> Option<u32> {
+    let earth = Ellipsoid::WGS_84;
     let (longitude, latitude) = match kind {
+        Kind::Geocentric if (x * x + y * y).sqrt() < 1e5 => return None,
         Kind::Geocentric => {
-            let radius = (x * x + y * y).sqrt();
-            if radius < 1e5 {
-                return None;
-            }
-            let turn = portable_math::atan2(y, x).to_degrees();
-            (turn, portable_math::atan2(z, radius).to_degrees())
+            let [longitude, latitude, _] = earth.geodetic([x, y, z]);
+            (longitude.to_degrees(), latitude.to_degrees())
         }
         Kind::WorldMap => {
-            let latitude = 2.0 * portable_math::atan(portable_math::exp(y / EQUATOR_M)) - std::f64::consts::FRAC_PI_2;
-            ((x / EQUATOR_M).to_degrees(), latitude.to_degrees())
+            let latitude = 2.0 * portable_math::atan(portable_math::exp(y / earth.a)) - std::f64::consts::FRAC_PI_2;
+            ((x / earth.a).to_degrees(), latitude.to_degrees())
         }
         _ => (x, y),
     };
-    if !(longitude.abs() <= 180.0 && latitude.abs() <= 84.0) {
-        return None;
-    }
-    let zone = (((longitude + 180.0) / 6.0).floor() as u32 % 60) + 1;
-    Some(if latitude < 0.0 { 32700 } else { 32600 } + zone)
+    (longitude.abs() <= 180.0 && latitude.abs() <= 84.0).then(|| utm_zone([longitude, latitude]))
 }
 
 fn converted(path: &str, stated: &Stated, context: &Context) -> Settled {

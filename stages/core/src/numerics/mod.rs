@@ -12,6 +12,7 @@ pub mod logistic;
 pub mod marginal;
 pub mod normal;
 pub mod portable_math;
+pub mod proportion;
 pub mod quantile;
 pub mod random;
 pub mod simd;

@@ -5,6 +5,9 @@ use super::portable_math;
 /// The value below which 97.5 % of a standard normal lies: half the width of a 95 % interval, in standard deviations.
 pub const NORMAL_975: f64 = 1.959_963_984_540_054;
 
+/// The same as limits of detection have it, which the literature rounds (Lague, Brodu and Leroux 2013; paper 2.4.1).
+pub const NORMAL_95: f64 = 1.96;
+
 /// Share of a standard normal below `z`.
 pub fn normal_cdf(z: f64) -> f64 {
     0.5 * portable_math::erfc(-z * std::f64::consts::FRAC_1_SQRT_2)

@@ -1,11 +1,11 @@
 //! `fuse-grids`: fuses the grids of many images to one 2.5D surface.
 
 use crate::fusion::grid_fusion::{FusedGrid, common_grid, fuse_grids, surface_of};
-use crate::matching::map_fusion::{Averaging, Rule};
 use rockface_core::artefact::{Band, Frame, Grid, Kind, Raster, Sample};
 use rockface_core::params::{Fault, Range};
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Point, Port, Stage, StageError, fail, params};
 use rockface_raster::rasterise::{MAXIMUM_CELLS, grid_around};
+use rockface_raster::robust_mean::{Averaging, Rule};
 use rockface_raster::window;
 
 params! {

@@ -2,8 +2,8 @@
 
 use rayon::prelude::*;
 
-use crate::matching::map_fusion::{Measured, Rule, fuse};
 use rockface_core::artefact::{Frame, Grid, Raster, Surface};
+use rockface_raster::robust_mean::{Measured, Rule, fuse};
 
 /// The fused elevations of a grid, with how many images each comes from and how exact it is.
 #[derive(Debug, Clone)]

@@ -2,12 +2,12 @@
 
 use rayon::prelude::*;
 
-use crate::matching::map_fusion::{Fused, Rule};
 use crate::matching::matched::{Match, TakeMatches, Tally};
 use crate::matching::pair::Matcher;
 use crate::matching::pixel_row::PixelRow;
 use crate::matching::row_fusion::{PairRow, RowFusion};
 use rockface_core::numerics::simd::Lanes;
+use rockface_raster::robust_mean::{Fused, Rule};
 
 /// How the depths of the pairs are fused.
 #[derive(Debug, Clone, Copy, PartialEq)]

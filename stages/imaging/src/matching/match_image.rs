@@ -3,7 +3,6 @@
 use std::collections::BTreeMap;
 
 use crate::matching::image::{Fusion, ImageTally, match_image};
-use crate::matching::map_fusion::{Averaging, Fused, Rule};
 use crate::matching::noise::matcher::MatcherTerms;
 use crate::matching::noise::model_draws::Model;
 use crate::matching::pair::{Matcher, Sampling};
@@ -15,6 +14,7 @@ use rockface_core::params::{Fault, Range};
 use rockface_core::{
     Context, Element, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, choice, fail, params, union,
 };
+use rockface_raster::robust_mean::{Averaging, Fused, Rule};
 
 params! {
     /// Nothing to say.

@@ -3,7 +3,6 @@
 pub mod correspondence;
 pub mod elevation_step;
 pub mod image;
-pub mod map_fusion;
 pub mod matched;
 pub mod noise;
 pub mod noisy_rays;

@@ -2,7 +2,8 @@
 
 use rockface_core::numerics::simd::{LANES, Lanes, Work, vectorised};
 
-use super::map_fusion::{Averaging, Fused, Measured, ROBUST, Rule, fuse};
+use rockface_core::numerics::marginal::NORMAL_MAD;
+use rockface_raster::robust_mean::{Averaging, Fused, Measured, Rule, fuse};
 
 /// Pixels that are fused together: their values stay in the fastest memory.
 const BLOCK: usize = 64;
@@ -308,7 +309,7 @@ fn middle_distance(ranks: &mut [Ranked], given: &Numbers) -> Numbers {
 #[inline(always)]
 fn reject_and_average(ranks: &[Ranked], rule: &Rule, centre_m: &Numbers, middle_m: &Numbers, fused: &mut FusedBlock) {
     let (mut kept, mut weight, mut moment) = ([0.0; BLOCK], [0.0; BLOCK], [0.0; BLOCK]);
-    let robust = rule.rejection * ROBUST;
+    let robust = rule.rejection * NORMAL_MAD;
     for rank in ranks {
         for i in 0..BLOCK {
             let (robust_m, sigmas_m) = (robust * middle_m[i], rule.rejection * rank.sigma_m[i]);

@@ -10,6 +10,7 @@ use crate::survey::forecast::{Joint, Matching, at_point};
 use crate::survey::overlap::sample_vertices_where;
 use rockface_core::artefact::{Band, Cameras, Covariance, Frame, Kind, Mesh, Pairs, Raster, Sample, Table};
 use rockface_core::numerics::marginal::marginal;
+use rockface_core::numerics::normal::NORMAL_95;
 use rockface_core::numerics::quantile::median;
 use rockface_core::params::{Fault, Range};
 use rockface_core::{Context, InputSizes, Inputs, Outputs, Page, Port, Stage, StageError, fail, params, table_row};
@@ -23,8 +24,6 @@ const SAMPLES: usize = 2000;
 const FEW: usize = 200;
 /// Points for the mean effect of orientation errors.
 const EFFECT_POINTS: usize = 120;
-/// Quantile of the normal distribution: 95 % lie within.
-const QUANTILE95: f64 = 1.96;
 
 params! {
     /// Parameters of `forecast-precision`.
@@ -283,7 +282,7 @@ impl<'a> Survey<'a> {
 
 /// Level of detection: the smallest change between two epochs that differs from noise at 95 %.
 fn lod95(sigma_m: f64) -> f64 {
-    QUANTILE95 * std::f64::consts::SQRT_2 * sigma_m
+    NORMAL_95 * std::f64::consts::SQRT_2 * sigma_m
 }
 
 fn baseline_ratio(cameras: &Cameras, pair: &[usize; 2], forecast: &Forecast) -> f64 {

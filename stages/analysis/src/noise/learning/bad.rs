@@ -5,6 +5,7 @@
 //! deviation over bands, or over classes).
 
 use crate::noise::learning::whitening::{Places, Stack, Whitened, whiten};
+use rockface_core::numerics::marginal::NORMAL_MAD;
 use rockface_core::numerics::quantile::median;
 
 /// Smallest robust deviation of a logarithm that counts.
@@ -63,5 +64,5 @@ fn unusual(whitened: &[Whitened], before: &[bool], cut: f64) -> Vec<bool> {
 pub fn robust(values: &[f64]) -> [f64; 2] {
     let middle = median(&mut values.to_vec()).unwrap_or(0.0);
     let mut distances: Vec<f64> = values.iter().map(|value| (value - middle).abs()).collect();
-    [middle, 1.482_602_218_505_602 * median(&mut distances).unwrap_or(0.0)]
+    [middle, NORMAL_MAD * median(&mut distances).unwrap_or(0.0)]
 }

@@ -7,7 +7,7 @@ use crate::camera::geocentric::AtBlock;
 use crate::camera::map_projection::{Datum, MapProjection, place_deg};
 use rockface_core::artefact::{Frame, Georeference};
 use rockface_core::crs::wkt::Node;
-use rockface_core::crs::{Crs, DatumShift, Kind, Plane, Stated, Tool, is_like_wgs_84, settle};
+use rockface_core::crs::{Crs, DatumShift, Kind, Plane, Stated, Tool, is_like_wgs_84, settle, utm_zone};
 use rockface_core::{Context, StageError};
 
 /// What is off by more than this in the images is warned of, pixels.
@@ -191,9 +191,7 @@ fn datum_shift(
 
 /// The UTM zone of a place (WGS 84), as `crs` takes it.
 fn zone(geocentric_m: [f64; 3]) -> String {
-    let [longitude, latitude] = place_deg(geocentric_m);
-    let zone = (((longitude + 180.0) / 6.0).floor() as u32 % 60) + 1;
-    format!("EPSG:{}", if latitude < 0.0 { 32700 } else { 32600 } + zone)
+    format!("EPSG:{}", utm_zone(place_deg(geocentric_m)))
 }
 
 fn far(first: [f64; 3]) -> String {

@@ -3,11 +3,11 @@
 use super::*;
 use crate::camera::model::Camera;
 use crate::depth::depth_buffer::{Drawing, draw, rounded};
-use crate::matching::map_fusion::{Measured, fuse};
 use rockface_core::artefact::{Artefact, Frame, Mesh, Noun, Sensor};
 use rockface_core::params::ParamType;
 use rockface_core::testing::{TestHost, height_mesh, image_at, run_stage, small_sensor};
 use rockface_core::{Later, Point};
+use rockface_raster::robust_mean::{Measured, fuse};
 use serde_json::{Value, json};
 use std::sync::{Arc, Mutex};
 

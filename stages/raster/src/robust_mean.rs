@@ -6,6 +6,7 @@
 //! is the weighted mean or the weighted median of the others (paper 2.1.2, Algorithm 2 line 21).
 
 use rockface_core::choice;
+use rockface_core::numerics::marginal::NORMAL_MAD;
 
 choice! {
     /// How values that agree become one.
@@ -37,7 +38,7 @@ impl Measured {
 
     /// A value whose weight is known.
     #[inline]
-    pub(super) fn weighted(value_m: f64, sigma_m: f64, weight: f64) -> Self {
+    pub fn weighted(value_m: f64, sigma_m: f64, weight: f64) -> Self {
         Self { value_m, sigma_m, weight }
     }
 }
@@ -64,9 +65,6 @@ pub struct Fused {
     pub count: usize,
 }
 
-/// Standard deviation of a normal distribution whose median absolute deviation is 1.
-pub(super) const ROBUST: f64 = 1.482_602_218_505_602;
-
 /// Fuses values, and reorders them. `None` where too few remain.
 pub fn fuse(values: &mut [Measured], rule: &Rule) -> Option<Fused> {
     if values.len() < rule.minimum.max(1) {
@@ -77,7 +75,7 @@ pub fn fuse(values: &mut [Measured], rule: &Rule) -> Option<Fused> {
     }
     values.sort_unstable_by(|a, b| a.value_m.total_cmp(&b.value_m).then(a.sigma_m.total_cmp(&b.sigma_m)));
     let centre_m = weighted_median(values);
-    let robust_m = rule.rejection * ROBUST * middle_deviation(values, centre_m);
+    let robust_m = rule.rejection * NORMAL_MAD * middle_deviation(values, centre_m);
     let mut count = 0;
     for i in 0..values.len() {
         let allowed_m = robust_m.max(rule.rejection * values[i].sigma_m).max(rule.tolerance_m);
