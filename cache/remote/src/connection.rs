@@ -16,7 +16,7 @@ use reqwest::redirect::{Attempt, Policy};
 
 /// Addresses of one server that are followed, one after the other.
 const MOST_REDIRECTS: usize = 5;
-/// The longest page of a listing, and the longest answer that says what is wrong, bytes: of a thousand names of a kilobyte, a sixteenth.
+/// The longest page of a listing, and the longest answer that says what is wrong, bytes: sixteen times a page of a thousand names of a kilobyte.
 const PAGE_BYTES: usize = 16 << 20;
 
 /// Makes connections; a request may take this long with all its repetitions.
