@@ -7,6 +7,8 @@ mod place;
 mod sheet;
 mod svg;
 
+pub use svg::escaped;
+
 use std::collections::BTreeMap;
 
 use petgraph::graph::{DiGraph, NodeIndex};

@@ -261,6 +261,6 @@ fn box_px(drawn: &Drawn, note: Option<&Note>, uses: &[(String, String)]) -> (f64
 }
 
 /// What stands for itself in XML.
-fn escaped(text: &str) -> String {
+pub fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }

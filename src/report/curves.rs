@@ -8,6 +8,9 @@ use rockface_engine::history::{Manifest, StepDone};
 use rockface_engine::plan::Graph;
 use serde::Serialize;
 
+use super::number::short;
+use crate::drawing::escaped;
+
 /// Curves of a page at most.
 const CURVES: usize = 24;
 /// Size of a drawing, and the room around it for its labels, pixels.
@@ -145,24 +148,6 @@ fn median(sorted: &[f64]) -> f64 {
     quantile::of_sorted(sorted, 0.5).unwrap_or(f64::NAN)
 }
 
-/// The power of ten of a number's first digit.
-fn exponent(value: f64) -> i32 {
-    format!("{value:e}").split('e').nth(1).and_then(|digits| digits.parse().ok()).unwrap_or(0)
-}
-
-/// A number in few digits.
-fn short(value: f64) -> String {
-    if value == 0.0 {
-        return "0".to_owned();
-    }
-    if (1e-3..1e5).contains(&value.abs()) {
-        let digits = (3 - exponent(value)).clamp(0, 6) as usize;
-        let text = format!("{value:.digits$}");
-        return if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text };
-    }
-    format!("{value:.2e}")
-}
-
 /// Medians as points; `joined` by a line, with the spread as a band. Points of a design differ in other values too, and are not.
 fn drawn(curve: &[At], caption: &str, axis: &str, joined: bool) -> String {
     let low = |values: &[f64]| values.iter().copied().fold(f64::INFINITY, f64::min);
@@ -171,7 +156,7 @@ fn drawn(curve: &[At], caption: &str, axis: &str, joined: bool) -> String {
     let y0 = curve.iter().map(|at| low(&at.values)).fold(f64::INFINITY, f64::min);
     let y1 = curve.iter().map(|at| high(&at.values)).fold(f64::NEG_INFINITY, f64::max);
     let [width, height] = SIZE;
-    let letters = [y0, y1].map(|value| short(value).len()).into_iter().max().unwrap_or_default();
+    let letters = [y0, y1].map(|value| short(value).chars().count()).into_iter().max().unwrap_or_default();
     let left = 2.0 * GAP + LETTER * letters as f64;
     let across = |x: f64| left + (x - x0) / (x1 - x0) * (width - left - RIGHT);
     let down = |y: f64| height - BOTTOM - (y - y0) / (y1 - y0) * (height - TOP - BOTTOM);
@@ -212,10 +197,6 @@ fn drawn(curve: &[At], caption: &str, axis: &str, joined: bool) -> String {
     svg
 }
 
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -236,11 +217,5 @@ mod tests {
         let [joined, alone] = [true, false].map(|joined| drawn(&curve, "a", "at.a_m", joined));
         assert!(joined.contains("<polyline") && !alone.contains("<polyline") && !alone.contains("<polygon"));
         assert_eq!(alone.matches("<circle").count(), 2);
-    }
-
-    #[test]
-    fn numbers_are_short() {
-        let shown = [0.0, 0.012_345_6, 1.0, 12.5, 123_456.0, -0.5, 1e-7].map(short);
-        assert_eq!(shown, ["0", "0.01235", "1", "12.5", "1.23e5", "-0.5", "1.00e-7"]);
     }
 }

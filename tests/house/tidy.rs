@@ -53,10 +53,11 @@ fn science() -> Vec<(PathBuf, String)> {
         .collect()
 }
 
-/// The stage whose file this is, or in whose folder it lies.
+/// The stage whose file this is, or in whose folder it lies; a room may be called as one of its stages.
 fn stage_of(path: &Path) -> Option<String> {
-    let parts = path.iter().filter_map(|part| part.to_str()).map(|part| part.trim_end_matches(".rs").to_owned());
-    parts.into_iter().find(|part| stage_modules().contains(part))
+    let modules = stage_modules();
+    let mut parts = path.iter().filter_map(|part| part.to_str()).map(|part| part.trim_end_matches(".rs").to_owned());
+    parts.rfind(|part| modules.contains(part))
 }
 
 #[test]
@@ -90,10 +91,14 @@ fn stages_touch_no_disk_clock_thread_or_hash() {
 
 #[test]
 fn nothing_imports_a_stage_but_the_registry() {
-    let modules: Vec<String> = stage_modules().iter().map(|module| format!("::{module}::")).collect();
-    let words: Vec<&str> = modules.iter().map(String::as_str).collect();
-    let others = without_tests(science()).into_iter().filter(|(path, _)| stage_of(path).is_none());
-    absent(&others.collect::<Vec<_>>(), &words, "two stages meet only through artefacts");
+    let modules = stage_modules();
+    for (path, text) in without_tests(science()) {
+        let own = stage_of(&path);
+        let others = modules.iter().filter(|module| own.as_deref() != Some(module.as_str()));
+        let words: Vec<String> = others.map(|module| format!("::{module}::")).collect();
+        let words: Vec<&str> = words.iter().map(String::as_str).collect();
+        absent(&[(path, text)], &words, "two stages meet only through artefacts");
+    }
 }
 
 #[test]

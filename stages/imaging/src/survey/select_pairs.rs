@@ -138,9 +138,10 @@ fn warn_of_inclined(cameras: &Cameras, pairs: &[Pair], context: &Context) {
     if let Some((largest, pair)) = inclined.first() {
         let others = if inclined.len() > 1 { format!(" and {} more", inclined.len() - 1) } else { String::new() };
         context.warn(format!(
-            "the baseline of {}{others} is inclined to the view: a pixel of one of its images is {largest:.2} pixels of disparity, so noise of so many \
-             pixels is less there than in the image; leave the pair out, or raise its noise by that",
-            pair.name
+            "the baseline of {}{others} is inclined to the view: a pixel of one of its images is {largest:.2} pixels of disparity, so one pixel of noise \
+             of disparity is only {:.2} of its pixels; leave the pair out, or raise its noise",
+            pair.name,
+            1.0 / largest
         ));
     }
 }
