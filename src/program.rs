@@ -44,12 +44,11 @@ fn is_coloured() -> bool {
 
 /// Runs a command and prints why it failed, if it did; returns the exit code.
 fn run_command(cli: Cli, registry: &Registry) -> i32 {
-    let (filter, set) = match environment::settings() {
-        Ok(filter) => (filter, Ok(())),
-        Err(error) => (EnvFilter::new("warn"), Err(error)),
+    let filter = match environment::settings() {
+        Ok(filter) => filter,
+        Err(error) => return failed(&error),
     };
-    let own = |()| cli.trace_file().map_or(Ok(()), |file| check_own(file, 0, trace::BEGINS, "trace"));
-    let checked = set.and_then(own);
+    let checked = cli.trace_file().map_or(Ok(()), |file| check_own(file, 0, trace::BEGINS, "trace"));
     let file = cli.trace_file().filter(|_| checked.is_ok());
     let trace = file.map(|file| (Trace::begin(), file.to_owned()));
     listen(filter, trace.as_ref().map(|(trace, _)| trace.clone()));
@@ -57,7 +56,11 @@ fn run_command(cli: Cli, registry: &Registry) -> i32 {
     let written =
         trace.map_or(Ok(()), |(trace, path)| trace.write(&path).map_err(|source| CliError::Trace { path, source }));
     let result = result.and(written);
-    let Err(error) = result else { return 0 };
+    result.map_or_else(|error| failed(&error), |()| 0)
+}
+
+/// Prints why a command failed; returns the exit code.
+fn failed(error: &CliError) -> i32 {
     let message = error.render(is_coloured());
     if !message.is_empty() && is_coloured() {
         output::complain_in_colour(&message);

@@ -72,20 +72,8 @@ impl HttpService for Bounded {
             }
             let (head, body) = answer.into_parts();
             let body = Limited::new(body, PAGE_BYTES)
-                .map_err(|fault| HttpError::new(HttpErrorKind::Decode, Told(fault.to_string())));
+                .map_err(|fault| HttpError::new(HttpErrorKind::Decode, std::io::Error::other(fault)));
             Ok(HttpResponse::from_parts(head, HttpResponseBody::new(body)))
         })
     }
 }
-
-/// What is wrong with a body.
-#[derive(Debug)]
-struct Told(String);
-
-impl std::fmt::Display for Told {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(&self.0)
-    }
-}
-
-impl std::error::Error for Told {}

@@ -131,6 +131,17 @@ fn build(
         .with_connect_timeout(timeout / 4)
         .with_read_timeout(timeout / 2)
         .with_allow_http(is_plain(scheme, url, variables));
+    // Each provider has a builder of its own, with the same methods.
+    macro_rules! built {
+        ($builder:expr) => {
+            $builder
+                .with_retry(retry)
+                .with_client_options(options)
+                .with_http_connector(Direct(timeout))
+                .build()
+                .map(|store| Arc::new(store) as _)
+        };
+    }
     match scheme {
         ObjectStoreScheme::AmazonS3 => {
             let known = |(name, value): (&String, &String)| {
@@ -141,39 +152,19 @@ fn build(
             let builder = builder.fold(AmazonS3Builder::new(), |builder, (key, value)| builder.with_config(key, value));
             // Not every server knows how to remove several objects at once.
             let builder = builder.with_url(url.as_str()).with_disable_bulk_delete(true);
-            builder
-                .with_retry(retry)
-                .with_client_options(options)
-                .with_http_connector(Direct(timeout))
-                .build()
-                .map(|store| Arc::new(store) as _)
+            built!(builder)
         }
         ObjectStoreScheme::GoogleCloudStorage => {
             let builder = GoogleCloudStorageBuilder::from_env().with_url(url.as_str());
-            builder
-                .with_retry(retry)
-                .with_client_options(options)
-                .with_http_connector(Direct(timeout))
-                .build()
-                .map(|store| Arc::new(store) as _)
+            built!(builder)
         }
         ObjectStoreScheme::MicrosoftAzure => {
             let builder = MicrosoftAzureBuilder::from_env().with_url(url.as_str());
-            builder
-                .with_retry(retry)
-                .with_client_options(options)
-                .with_http_connector(Direct(timeout))
-                .build()
-                .map(|store| Arc::new(store) as _)
+            built!(builder)
         }
         ObjectStoreScheme::Http => {
             let builder = HttpBuilder::new().with_url(&url[..url::Position::BeforePath]);
-            builder
-                .with_retry(retry)
-                .with_client_options(options)
-                .with_http_connector(Direct(timeout))
-                .build()
-                .map(|store| Arc::new(store) as _)
+            built!(builder)
         }
         _ => return Err(None),
     }

@@ -263,6 +263,12 @@ pub fn full_pixel(column: usize, row: usize, downscale: u32) -> [f64; 2] {
     [(column as f64 + 0.5) * s - 0.5, (row as f64 + 0.5) * s - 0.5]
 }
 
+/// The outermost pixels (column, row) of a depth map.
+pub fn outline(width: usize, height: usize) -> impl Iterator<Item = (usize, usize)> {
+    let rows = (0..height).flat_map(move |row| [(0, row), (width - 1, row)]);
+    (0..width).flat_map(move |column| [(column, 0), (column, height - 1)]).chain(rows)
+}
+
 #[inline(always)]
 fn radial<T: Number>(k: &[f64; 4], r2: T) -> T {
     r2 * (r2 * (r2 * (r2 * k[3] + k[2]) + k[1]) + k[0]) + 1.0

@@ -4,7 +4,7 @@
 
 use rayon::prelude::*;
 
-use crate::camera::model::{Camera, full_pixel};
+use crate::camera::model::{Camera, full_pixel, outline};
 use crate::camera::ray_row::RayRow;
 use rockface_core::StageError;
 use rockface_core::artefact::{Depth, Grid};
@@ -219,16 +219,13 @@ fn reach(depth: &Depth, camera: &Camera) -> Option<[f64; 4]> {
     for z in depth.z.iter().filter(|z| Depth::is_seen(**z)) {
         (low, high) = (low.min(*z), high.max(*z));
     }
-    let (right, bottom) = (depth.width - 1, depth.height - 1);
-    let columns = (0..depth.width).flat_map(|column| [(column, 0), (column, bottom)]);
-    let outline = columns.chain((0..depth.height).flat_map(|row| [(0, row), (right, row)]));
     let mut reach = [f64::INFINITY, f64::NEG_INFINITY, f64::INFINITY, f64::NEG_INFINITY];
     let mut add = |ray: [f64; 2], z_m: f32| {
         let p = camera.unproject(ray, f64::from(z_m));
         reach = [reach[0].min(p.x), reach[1].max(p.x), reach[2].min(p.y), reach[3].max(p.y)];
     };
     let mut is_whole = true;
-    for (column, row) in outline {
+    for (column, row) in outline(depth.width, depth.height) {
         match camera.normalised(full_pixel(column, row, depth.downscale)) {
             Some(ray) => [low, high].into_iter().for_each(|z| add(ray, z)),
             None => is_whole = false,

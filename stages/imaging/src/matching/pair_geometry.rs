@@ -1,8 +1,8 @@
 //! The geometry of a stereo pair: ideal depth maps, true and noisy cameras, and the rectification of the noisy ones.
 
-use crate::camera::model::{Camera, full_pixel};
+use crate::camera::model::{Camera, full_pixel, outline};
 use crate::matching::noise::paper::{FieldRecipe, SmoothNoise};
-use crate::matching::rectification::{Placed, Rectification};
+use crate::matching::rectification::Rectification;
 use crate::matching::side::Side;
 use rockface_core::StageError;
 use rockface_core::artefact::Depth;
@@ -56,52 +56,42 @@ impl<'a> PairGeometry<'a> {
     /// place for one of them, those of all pixels that see something and have one.
     fn rectified_extent(&self) -> Result<[[f64; 2]; 2], StageError> {
         let depth = self.ideal[Side::First];
-        if let Ok(extent) = self.extent_over(outline(depth.width, depth.height)) {
-            return Ok(extent);
+        let outermost = outline(depth.width, depth.height);
+        let outermost = outermost.map(|pixel| self.placed(pixel).map_err(|why| (pixel, why)));
+        match outermost.collect::<Result<Vec<_>, _>>() {
+            Ok(positions) => Ok(extent(positions.into_iter())),
+            Err((pixel, why)) => {
+                let seeing = (0..depth.z.len()).filter(|at| depth.z[*at].is_finite());
+                let mut placed =
+                    seeing.filter_map(|at| self.placed((at % depth.width, at / depth.width)).ok()).peekable();
+                if placed.peek().is_none() {
+                    return Err(not_rectified(pixel, depth).hint(why));
+                }
+                Ok(extent(placed))
+            }
         }
-        let pixel = |at: usize| (at % depth.width, at / depth.width);
-        let seeing = (0..depth.z.len()).filter(|at| depth.z[*at].is_finite()).map(pixel);
-        let placed = seeing.filter(|pixel| self.placed(*pixel).is_ok());
-        let extent = self.extent_over(placed)?;
-        if extent[0][0] <= extent[1][0] {
-            return Ok(extent);
-        }
-        // What is wrong with one that sees something, or else with the outermost.
-        let mut seeing = (0..depth.z.len()).filter(|at| depth.z[*at].is_finite()).map(pixel);
-        seeing.try_for_each(|pixel| self.placed(pixel).map(drop))?;
-        self.extent_over(outline(depth.width, depth.height))
     }
 
-    fn extent_over(&self, pixels: impl Iterator<Item = (usize, usize)>) -> Result<[[f64; 2]; 2], StageError> {
-        let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
-        for pixel in pixels {
-            let p = self.placed(pixel)?;
-            (low, high) = ([low[0].min(p[0]), low[1].min(p[1])], [high[0].max(p[0]), high[1].max(p[1])]);
-        }
-        Ok([low, high])
-    }
-
-    /// The rectified position of a pixel (column, row) of the first image, pixels.
-    fn placed(&self, (column, row): (usize, usize)) -> Result<[f64; 2], StageError> {
+    /// The rectified position of a pixel (column, row) of the first image, pixels; or why it has none.
+    fn placed(&self, (column, row): (usize, usize)) -> Result<[f64; 2], &'static str> {
         let (depth, noisy) = (self.ideal[Side::First], &self.noisy[Side::First]);
-        let Some(ray) = noisy.normalised(full_pixel(column, row, depth.downscale)) else {
-            return Err(not_rectified(column, row, depth)
-                .hint("its lens distortion cannot be inverted there: check signs and units of the coefficients"));
-        };
-        let Some(Placed { position_px, .. }) = self.rectification.place(Side::First, ray) else {
-            return Err(not_rectified(column, row, depth)
-                .hint("the axes of the two images diverge too much: pair images that look the same way"));
-        };
-        Ok(position_px)
+        let ray = noisy.normalised(full_pixel(column, row, depth.downscale));
+        let ray =
+            ray.ok_or("its lens distortion cannot be inverted there: check signs and units of the coefficients")?;
+        let placed = self.rectification.place(Side::First, ray);
+        let placed = placed.ok_or("the axes of the two images diverge too much: pair images that look the same way")?;
+        Ok(placed.position_px)
     }
 }
 
-fn not_rectified(column: usize, row: usize, depth: &Depth) -> StageError {
+/// Lowest and highest of some positions.
+fn extent(positions: impl Iterator<Item = [f64; 2]>) -> [[f64; 2]; 2] {
+    positions.fold([[f64::INFINITY; 2], [f64::NEG_INFINITY; 2]], |[low, high], p| {
+        [[low[0].min(p[0]), low[1].min(p[1])], [high[0].max(p[0]), high[1].max(p[1])]]
+    })
+}
+
+fn not_rectified((column, row): (usize, usize), depth: &Depth) -> StageError {
     let name = &depth.image.name;
     StageError::new(format!("pixel ({column}, {row}) of image `{name}` has no position in the rectified image"))
-}
-
-fn outline(width: usize, height: usize) -> impl Iterator<Item = (usize, usize)> {
-    let rows = (0..height).flat_map(move |row| [(0, row), (width - 1, row)]);
-    (0..width).flat_map(move |column| [(column, 0), (column, height - 1)]).chain(rows)
 }

@@ -124,11 +124,12 @@ fn numbers(cameras: &Cameras, pairs: &[Pair]) -> Vec<[usize; 2]> {
 /// Disparity counts pixels of the rectified images. Where the baseline is inclined to the view, one of the two is stretched there, and noise of
 /// disparity is less than as many of its own pixels.
 fn warn_of_inclined(cameras: &Cameras, pairs: &[Pair], context: &Context) {
+    let ready: Vec<Camera> = cameras.images.iter().map(|image| Camera::new(cameras.sensor(image), image)).collect();
     let mut inclined = Vec::new();
     for (pair, images) in pairs.iter().zip(numbers(cameras, pairs)) {
-        let ready = images.map(|image| Camera::new(cameras.sensor(&cameras.images[image]), &cameras.images[image]));
-        let Ok(rectification) = Rectification::new([&ready[0], &ready[1]], 1) else { continue };
-        let scale = |side: Side| rectification.pixels_along_base(side, &ready[side]).unwrap_or(0.0);
+        let both = images.map(|image| &ready[image]);
+        let Ok(rectification) = Rectification::new(both, 1) else { continue };
+        let scale = |side: Side| rectification.pixels_along_base(side, both[side]).unwrap_or(0.0);
         let largest = Side::BOTH.map(scale).into_iter().fold(0.0, f64::max);
         if largest > MOST_STRETCHED {
             inclined.push((largest, pair));
