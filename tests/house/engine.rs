@@ -182,6 +182,29 @@ fn memory_that_runs_short_changes_nothing() {
 }
 
 #[test]
+fn what_a_stage_gives_on_unchanged_has_the_digest_of_what_it_was_given() {
+    let yaml = "
+rockface: 1
+steps:
+  a: {stage: emit, keep: false}
+  same: {stage: hand-on, in: {in: a.out}, keep: false}
+  last: {stage: add, in: {terms: same.out}, with: {plus: 2}}
+";
+    let bench = Bench::new();
+    let digests = bench.run(yaml, &[]).digests();
+    let of = |port: &str| digests.iter().find_map(|line| line.strip_prefix(port).map(str::to_owned)).unwrap();
+    assert_eq!(of("a.out"), of("same.out"));
+    assert_ne!(of("a.out"), of("last.out"));
+    // A stage that says so of another value is found out.
+    let ran = bench.run(yaml, &["steps.same.with.plus=1"]);
+    let told = ran.events.iter().find_map(|event| match event {
+        Event::Failed { message, .. } => Some(message.clone()),
+        _ => None,
+    });
+    assert_eq!(told.as_deref(), Some("output `out` is said to be input `in` unchanged, and differs from it"));
+}
+
+#[test]
 fn a_failed_step_fails_its_dependents_only() {
     let yaml = "
 rockface: 1

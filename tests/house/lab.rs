@@ -276,6 +276,28 @@ impl Stage for Raise {
 }
 
 params! {
+    /// Parameters of `hand-on`.
+    pub struct HandOnParams {
+        /// What is added, against what it says.
+        plus: f64 = 0.0,
+    }
+}
+
+/// Says that it gives on what it was given; does not where it adds to it.
+pub struct HandOn;
+impl Stage for HandOn {
+    type Params = HandOnParams;
+    const NAME: &'static str = "hand-on";
+    const VERSION: u32 = 1;
+    const PAGE: Page = PAGE;
+    const INPUTS: &'static [Port] = &[Port::one("in", TABLE, "What is given on.")];
+    const OUTPUTS: &'static [Port] = &[Port::one("out", TABLE, "The same.")];
+    fn run(params: &HandOnParams, inputs: &Inputs, _: &Context) -> Result<Outputs, StageError> {
+        Ok(Outputs::of("out", cell(total(inputs, "in")? + params.plus)).unchanged("out", "in"))
+    }
+}
+
+params! {
     /// Parameters of `couple`.
     pub struct CoupleParams {
         /// The pairs, each `first+second`.
@@ -317,6 +339,7 @@ pub const STAGES: &[&dyn AnyStage] = &[
     &Row::<Moody>::new(),
     &Row::<List>::new(),
     &Row::<Raise>::new(),
+    &Row::<HandOn>::new(),
     &Row::<Couple>::new(),
 ];
 

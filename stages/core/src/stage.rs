@@ -197,7 +197,10 @@ macro_rules! fail {
 
 /// The artefacts a stage made, by port.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub struct Outputs(BTreeMap<&'static str, Artefact>);
+pub struct Outputs {
+    values: BTreeMap<&'static str, Artefact>,
+    unchanged: BTreeMap<&'static str, &'static str>,
+}
 
 impl Outputs {
     /// One output at a port; [`Outputs::and`] adds further ones.
@@ -208,28 +211,45 @@ impl Outputs {
     /// Adds the output of another port; one of the same port is replaced.
     #[must_use]
     pub fn and(mut self, port: &'static str, artefact: impl Into<Artefact>) -> Self {
-        self.0.insert(port, artefact.into());
+        self.values.insert(port, artefact.into());
         self
+    }
+
+    /// Says that an output is what the stage was given at an input port of one artefact, to the bit: it need not be hashed again.
+    #[must_use]
+    pub fn unchanged(mut self, output: &'static str, input: &'static str) -> Self {
+        self.unchanged.insert(output, input);
+        self
+    }
+
+    /// The input port that an output is the value of, unchanged.
+    pub fn unchanged_from(&self, output: &str) -> Option<&'static str> {
+        self.unchanged.get(output).copied()
     }
 
     /// The artefacts that were made, in the order of their ports' names.
     pub fn values(&self) -> impl Iterator<Item = &Artefact> {
-        self.0.values()
+        self.values.values()
+    }
+
+    /// What was made at a port.
+    pub fn get(&self, port: &str) -> Option<&Artefact> {
+        self.values.get(port)
     }
 
     /// What was made, by port.
     pub fn by_port(&self) -> impl Iterator<Item = (&'static str, &Artefact)> {
-        self.0.iter().map(|(port, value)| (*port, value))
+        self.values.iter().map(|(port, value)| (*port, value))
     }
 
     /// The same, to be changed.
     pub fn values_mut(&mut self) -> impl Iterator<Item = &mut Artefact> {
-        self.0.values_mut()
+        self.values.values_mut()
     }
 
     /// Hands over what was made.
     pub fn into_inner(self) -> BTreeMap<&'static str, Artefact> {
-        self.0
+        self.values
     }
 }
 

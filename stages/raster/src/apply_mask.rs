@@ -89,6 +89,7 @@ impl Stage for ApplyMask {
                     .hint("look at mask and raster with `draw-picture`; see the parameter `keep`"));
             }
         }
+        let sample = raster.sample;
         // A byte has no way to say that there is no value.
         if kept.iter().any(|kept| !kept) {
             raster.sample = Sample::Float;
@@ -98,12 +99,15 @@ impl Stage for ApplyMask {
         }
         let share = kept.iter().filter(|kept| **kept).count() as f64 / kept.len() as f64;
         context.metric("kept_share", share, "1");
-        let left = known(&raster) as f64 / before as f64;
+        let after = known(&raster);
+        let left = after as f64 / before as f64;
         if left < params.expected_share {
             let (left, expected) = (100.0 * left, 100.0 * params.expected_share);
             context.warn(format!("the mask leaves {left:.1} % of the values, of which {expected} % are expected"));
         }
-        Ok(Outputs::of("raster", raster))
+        let is_unchanged = after == before && raster.sample == sample;
+        let outputs = Outputs::of("raster", raster);
+        Ok(if is_unchanged { outputs.unchanged("raster", "raster") } else { outputs })
     }
 }
 
@@ -199,6 +203,19 @@ mod tests {
         for (word, expected) in [("finite", vec![1, 2]), ("nonzero", vec![2]), ("zero", vec![1])] {
             assert_eq!(kept_cells(&json!({"keep": word}), &mask).unwrap(), expected, "{word}");
         }
+    }
+
+    #[test]
+    fn a_mask_that_takes_nothing_gives_on_the_raster() {
+        let unchanged = |mask: [f32; 4]| {
+            let raster = Raster::single(GRID, Frame::Wall, "difference", "d", vec![f32::NAN, 1.0, 1.0, 1.0]);
+            let inputs: [(&str, Artefact); 2] = [("raster", raster.into()), ("mask", stack(&[("m", mask)]).into())];
+            let outputs = run_stage::<ApplyMask>(&TestHost::default(), &json!({}), &inputs).unwrap();
+            outputs.unchanged_from("raster")
+        };
+        assert_eq!(unchanged([1.0; 4]), Some("raster"));
+        assert_eq!(unchanged([f32::NAN, 1.0, 1.0, 1.0]), Some("raster"), "what it takes has no value");
+        assert_eq!(unchanged([1.0, f32::NAN, 1.0, 1.0]), None);
     }
 
     #[test]

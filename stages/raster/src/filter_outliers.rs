@@ -45,7 +45,8 @@ impl Stage for FilterOutliers {
         }
         context.metric("outliers", removed as f64, "cells");
         context.metric("outlier_share", removed as f64 / valid.max(1) as f64, "1");
-        Ok(Outputs::of("raster", raster))
+        let outputs = Outputs::of("raster", raster);
+        Ok(if removed == 0 { outputs.unchanged("raster", "raster") } else { outputs })
     }
 }
 
@@ -71,8 +72,12 @@ mod tests {
         let outputs = run_stage::<FilterOutliers>(&host, &with, &[("raster", raster.clone().into())]).unwrap();
         let expected = vec![0.125, f32::NAN, f32::NAN, f32::NAN, -0.0];
         let expected = Raster::single(grid, Frame::Wall, "difference", "d", expected);
+        assert_eq!(outputs.unchanged_from("raster"), None);
         assert_eq!(outputs.into_inner()["raster"], Artefact::from(expected));
         assert_eq!(host.metric("outlier_share"), Some(0.5));
+        let quiet = Raster::single(grid, Frame::Wall, "difference", "d", vec![0.1; 5]);
+        let outputs = run_stage::<FilterOutliers>(&host, &with, &[("raster", quiet.into())]).unwrap();
+        assert_eq!(outputs.unchanged_from("raster"), Some("raster"), "nothing was removed");
         let mut large = raster;
         large.bands[0].values = vec![1.0; 5];
         let error = run_stage::<FilterOutliers>(&host, &with, &[("raster", large.into())]).unwrap_err();

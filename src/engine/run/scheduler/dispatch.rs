@@ -58,6 +58,7 @@ impl Scheduler<'_> {
                 port,
                 point: given.point.clone(),
                 from: (given.instance, given.port),
+                blob: self.blob(given.instance, given.port),
                 value: self.value(given.instance, given.port),
             })
         });
@@ -103,6 +104,11 @@ impl Scheduler<'_> {
                 }
             }
         }
+    }
+
+    /// The digest of an output, and the bytes of its blob.
+    fn blob(&self, producer: usize, port: &str) -> Option<(Digest, u64)> {
+        self.states[producer].outcome().map(|outcome| (outcome.outputs[port].digest, outcome.outputs[port].bytes))
     }
 
     /// An output as a consumer gets it.

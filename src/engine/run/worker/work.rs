@@ -61,6 +61,8 @@ pub struct Feed {
     pub point: Point,
     /// Producer and its port.
     pub from: (usize, &'static str),
+    /// The digest of the artefact and the bytes of its blob, whether it is in the store or not.
+    pub blob: Option<(Digest, u64)>,
     /// The artefact, or where to read it.
     pub value: Value,
 }
@@ -185,9 +187,11 @@ pub fn work(task: &Task, place: Place) -> Result<Done, Failure> {
         check_again(task, given, place, &outputs)?;
     }
     unchanged_files(task, store, &before)?;
-    let values: BTreeMap<_, _> = outputs.into_iter().map(|(port, value)| (port, Arc::new(value))).collect();
+    let unchanged = unchanged(task, &outputs)?;
+    let values: BTreeMap<_, _> =
+        outputs.into_inner().into_iter().map(|(port, value)| (port, Arc::new(value))).collect();
     let mut parcel = store.parcel();
-    let mut outcome = keep(task, &mut parcel, threads, &values, &entries)?;
+    let mut outcome = keep(task, &mut parcel, threads, &values, &unchanged, &entries)?;
     let (sketches, unsketched) = phase!("sketch", sketch(task, (store, &mut parcel), threads, &values, &outcome))?;
     outcome.sketches = sketches;
     let kept = |(from, later): &(_, Arc<Later>)| later.kept().map(|value| (*from, value.clone()));
@@ -207,7 +211,7 @@ pub fn work(task: &Task, place: Place) -> Result<Done, Failure> {
     let put_again = || {
         // The small ones are in the first parcel.
         let mut again = store.parcel();
-        let made = keep(task, &mut again, threads, &values, &entries)?;
+        let made = keep(task, &mut again, threads, &values, &unchanged, &entries)?;
         sketch(task, (store, &mut again), threads, &values, &made)
     };
     let record = Record { recipe: task.recipe.clone(), outputs, log, sketches, cost };
@@ -287,11 +291,10 @@ fn unreadable(feed: &Feed, digest: &Digest, why: &str) -> Failure {
     StageError::new(message).hint(hint).into()
 }
 
-fn run_stage(task: &Task, inputs: &Inputs, host: &StepHost) -> Result<BTreeMap<&'static str, Artefact>, Failure> {
+fn run_stage(task: &Task, inputs: &Inputs, host: &StepHost) -> Result<Made, Failure> {
     let context = Context::new(host);
     let run = || task.stage.run(&task.params.canonical, inputs, &context).map_err(Failure::from);
     let outputs = guarded(run)?;
-    let outputs = outputs.into_inner();
     for (port, kind) in &task.outputs {
         match outputs.get(port) {
             Some(value) if value.kind() == *kind => {}
@@ -312,7 +315,7 @@ struct Given<'a> {
     trouble: &'a Trouble,
 }
 
-type Made = BTreeMap<&'static str, Artefact>;
+type Made = rockface_core::Outputs;
 /// The result of one attempt, the log of the stage, and the cost of its programs.
 type Attempt = (Result<Made, StageError>, (Vec<Entry>, Used));
 /// Size, times of modification and change, inode.
@@ -345,7 +348,7 @@ fn attempts(task: &Task, given: Given, place: Place) -> Result<(Made, Vec<Entry>
 fn check_again(task: &Task, given: Given, place: Place, first: &Made) -> Result<(), Failure> {
     let (second, _) = attempt(task, given, place)?;
     let second = second?;
-    for (port, value) in first {
+    for (port, value) in first.by_port() {
         let encoded = |value: &Artefact| value.encode().map_err(|error| StageError::new(error.to_string()));
         let again = second.get(port).map(encoded).transpose()?;
         if again.as_ref() != Some(&encoded(value)?) {
@@ -450,11 +453,34 @@ fn unchanged_files(task: &Task, store: &Store, before: &[Fingerprint]) -> Result
     Ok(())
 }
 
+/// The blobs of outputs that are inputs unchanged. What a stage says of that is held against the bytes where its determinism is checked, and
+/// in every test.
+fn unchanged(task: &Task, outputs: &Made) -> Result<BTreeMap<&'static str, (Digest, u64)>, Failure> {
+    let mut unchanged = BTreeMap::new();
+    for (output, value) in outputs.by_port() {
+        let Some(input) = outputs.unchanged_from(output) else { continue };
+        let mut feeds = task.feeds.iter().filter(|feed| feed.port == input);
+        let (Some(feed), None) = (feeds.next(), feeds.next()) else { continue };
+        let Some(blob) = feed.blob else { continue };
+        if task.check || cfg!(debug_assertions) {
+            let (digest, _, given) = Digest::of_pieces(|take| value.stream(take));
+            given.map_err(|error| StageError::new(error.to_string()))?;
+            if digest != blob.0 {
+                let message = format!("output `{output}` is said to be input `{input}` unchanged, and differs from it");
+                return Err(StageError::new(message).hint("a fault of the stage: please report it").into());
+            }
+        }
+        unchanged.insert(output, blob);
+    }
+    Ok(unchanged)
+}
+
 fn keep(
     task: &Task,
     parcel: &mut Parcel,
     threads: &Threads,
     values: &BTreeMap<&'static str, Arc<Artefact>>,
+    unchanged: &BTreeMap<&'static str, (Digest, u64)>,
     entries: &[Entry],
 ) -> Result<Outcome, Failure> {
     let mut outputs = Outputs::default();
@@ -467,6 +493,8 @@ fn keep(
             let encoded = phase!("encode", threads.compute(bytes, || value.encode())).map_err(unwritable)?;
             let bytes = encoded.len() as u64;
             (phase!("put", parcel.put(encoded))?, bytes)
+        } else if let Some(blob) = unchanged.get(port) {
+            *blob
         } else {
             let hash = || Digest::of_pieces(|take| value.stream(take));
             let (digest, bytes, given) = phase!("hash", threads.compute(bytes, hash));

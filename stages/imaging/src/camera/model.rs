@@ -51,6 +51,11 @@ impl Camera {
         Sensor { name, ..self.sensor.clone() } == other.sensor
     }
 
+    /// Whether it has no distortion.
+    pub fn is_straight(&self) -> bool {
+        self.straight
+    }
+
     /// R, object to camera frame.
     pub fn camera_from_object(&self) -> &Matrix3<f64> {
         &self.rotation

@@ -24,7 +24,7 @@ pub struct GridDepth;
 impl Stage for GridDepth {
     type Params = GridDepthParams;
     const NAME: &'static str = "grid-depth";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const PAGE: Page = Page::new(include_str!("grid_depth.md"));
     const INPUTS: &'static [Port] = &[Port::one("depth", &[Kind::Depth], "The depth map.")];
     const OUTPUTS: &'static [Port] = &[Port::one("grid", &[Kind::Raster], "Bands `elevation` and `sigma`, metres.")];

@@ -45,7 +45,7 @@ pub struct ProjectDepth;
 impl Stage for ProjectDepth {
     type Params = ProjectDepthParams;
     const NAME: &'static str = "project-depth";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PAGE: Page = Page::new(include_str!("project_depth.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("mesh", &[Kind::Mesh], "The surface, counter-clockwise seen from outside the rock."),

@@ -24,7 +24,7 @@ pub struct FuseDepth;
 impl Stage for FuseDepth {
     type Params = FuseDepthParams;
     const NAME: &'static str = "fuse-depth";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PAGE: Page = Page::new(include_str!("fuse_depth.md"));
     const INPUTS: &'static [Port] = &[Port::one("depth", &[Kind::Depth], "The depth map.")];
     const OUTPUTS: &'static [Port] = &[Port::one("surface", &[Kind::Surface], "The surface.")];

@@ -36,7 +36,7 @@ pub struct FuseVolume;
 impl Stage for FuseVolume {
     type Params = FuseVolumeParams;
     const NAME: &'static str = "fuse-volume";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PAGE: Page = Page::new(include_str!("fuse_volume.md"));
     const INPUTS: &'static [Port] = &[Port::many("depths", &[Kind::Depth], "Depth maps, one or more.")];
     const OUTPUTS: &'static [Port] = &[Port::one("mesh", &[Kind::Mesh], "The fused surface.")];

@@ -81,7 +81,7 @@ pub struct MatchImage;
 impl Stage for MatchImage {
     type Params = MatchImageParams;
     const NAME: &'static str = "match-image";
-    const VERSION: u32 = 11;
+    const VERSION: u32 = 12;
     const PAGE: Page = Page::new(include_str!("match_image.md"));
     const INPUTS: &'static [Port] = &[
         Port::many(

@@ -38,7 +38,7 @@ pub struct MatchPair;
 impl Stage for MatchPair {
     type Params = MatchPairParams;
     const NAME: &'static str = "match-pair";
-    const VERSION: u32 = 14;
+    const VERSION: u32 = 15;
     const PAGE: Page = Page::new(include_str!("match_pair.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("first", &[Kind::Depth], "Ideal depth map of the pair's first image, with its true camera."),

@@ -107,7 +107,7 @@ pub struct EstimateCovariance;
 impl Stage for EstimateCovariance {
     type Params = EstimateCovarianceParams;
     const NAME: &'static str = "estimate-covariance";
-    const VERSION: u32 = 4;
+    const VERSION: u32 = 5;
     const PAGE: Page = Page::new(include_str!("estimate_covariance.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("cameras", &[Kind::Cameras], "The orientation the adjustment is linearised at."),

@@ -53,7 +53,7 @@ pub struct ForecastPrecision;
 impl Stage for ForecastPrecision {
     type Params = ForecastPrecisionParams;
     const NAME: &'static str = "forecast-precision";
-    const VERSION: u32 = 7;
+    const VERSION: u32 = 8;
     const PAGE: Page = Page::new(include_str!("forecast_precision.md"));
     const INPUTS: &'static [Port] = &[
         Port::one("cameras", &[Kind::Cameras], "The planned block."),
