@@ -2,12 +2,12 @@
 
 use std::collections::HashMap;
 use std::fmt::Debug;
-use std::io::Write;
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::ThreadId;
 use std::time::Instant;
 
+use crate::cli::write_own;
 use rockface_engine::PHASE;
 use serde_json::{Value, json};
 use tracing::field::{Field, Visit};
@@ -74,11 +74,7 @@ impl Trace {
     /// # Errors
     /// Those of the disk.
     pub fn write(&self, to: &Path) -> std::io::Result<()> {
-        let parent = to.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        let readable = std::os::unix::fs::PermissionsExt::from_mode(0o666);
-        let mut file = tempfile::Builder::new().permissions(readable).tempfile_in(parent)?;
-        file.write_all(self.events().to_string().as_bytes())?;
-        file.persist(to).map(drop).map_err(|error| error.error)
+        write_own(to, self.events().to_string().as_bytes())
     }
 
     fn events(&self) -> Value {

@@ -82,7 +82,7 @@ pub use locks::{Announced, KeyLock};
 pub use machine::shared_setting;
 pub use maintenance::{Collected, Fault, FaultKind, GcItem, GcPlan, GcPolicy, Handed, StageStat, Verified};
 pub use maintenance::{HalfWritten, SegmentFault, SegmentFaultKind};
-pub use materialise::Materialised;
+pub use materialise::{Materialised, readable_file};
 pub use memory::{Grounds, Memory, RunNote, Seen, State, mark, read_plain, recall, trees};
 pub use names::{NameError, SafeName, SafePath};
 pub use outputs::Outputs;

@@ -77,11 +77,20 @@ fn at_target<T>(result: io::Result<T>, action: &'static str, path: &Path) -> Res
     result.at(action, path).map_err(StoreError::outside_store)
 }
 
-/// A new file beside `to` with the permissions any new file would have.
-fn beside(folder: &Path) -> Result<NamedTempFile, StoreError> {
+/// A new file in a folder that is given its name once it is whole, with the permissions that any new file has by the umask: those of other
+/// temporary files let only their owner read them.
+///
+/// # Errors
+/// Those of the disk, without the name of the file, which nobody has asked for.
+pub fn readable_file(folder: &Path) -> io::Result<NamedTempFile> {
     let mut builder = tempfile::Builder::new();
     builder.prefix(HALF_WRITTEN).permissions(Permissions::from_mode(0o666));
-    at_target(builder.tempfile_in(folder), "write into", folder)
+    builder.tempfile_in(folder).map_err(|error| error.kind().into())
+}
+
+/// A new file beside `to`.
+fn beside(folder: &Path) -> Result<NamedTempFile, StoreError> {
+    at_target(readable_file(folder), "write into", folder)
 }
 
 fn persist(file: NamedTempFile, to: &Path) -> Result<(), StoreError> {

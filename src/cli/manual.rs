@@ -59,8 +59,7 @@ fn write(dir: &Path, files: &[(String, Vec<u8>)]) -> Result<(), CliError> {
     for (name, bytes) in files {
         let path = dir.join(name);
         check_place(&path)?;
-        let (folder, name) = (folder_of(&path), path.file_name().unwrap_or_default().to_string_lossy());
-        let written = std::fs::create_dir_all(folder).and_then(|()| write_own(folder, &name, bytes));
+        let written = std::fs::create_dir_all(folder_of(&path)).and_then(|()| write_own(&path, bytes));
         written.map_err(failed("write", &path))?;
     }
     say(&format!("{}: {} files", dir.display(), files.len()));

@@ -49,8 +49,7 @@ use rockface_core::Registry;
 pub use candidates::answer;
 use former::expanded;
 use output::{complain, say};
-pub use own_file::check_own;
-use own_file::write_own;
+pub use own_file::{check_own, write_own};
 use rockface_engine::PHASE;
 use rockface_engine::diagnostic::Diagnostics;
 use rockface_engine::history::HistoryError;
@@ -312,7 +311,7 @@ fn own_folder(pipeline: &Path) -> Result<PathBuf, CliError> {
     std::fs::create_dir_all(&folder).map_err(failed)?;
     for (name, text) in [(".gitignore", "*\n"), ("CACHEDIR.TAG", CACHE_TAG)] {
         if !folder.join(name).exists() {
-            write_own(&folder, name, text.as_bytes()).map_err(failed)?;
+            write_own(&folder.join(name), text.as_bytes()).map_err(failed)?;
         }
     }
     if is_new {

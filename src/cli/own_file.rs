@@ -48,9 +48,8 @@ pub fn check_own(path: &Path, at: u64, has: &[u8], what: &str) -> Result<(), Cli
 }
 
 /// Writes a file whole or not at all, in place of one that is there: half of one would never be completed.
-pub fn write_own(folder: &Path, name: &str, bytes: &[u8]) -> std::io::Result<()> {
-    let file = written(folder, bytes)?;
-    file.persist(folder.join(name)).map(drop).map_err(|error| error.error)
+pub fn write_own(file: &Path, bytes: &[u8]) -> std::io::Result<()> {
+    written(folder_of(file), bytes)?.persist(file).map(drop).map_err(|error| error.error)
 }
 
 /// Writes a file whole or not at all, and the folders it is in. One that is there stays as it is.
@@ -79,10 +78,7 @@ pub fn failed(action: &'static str, path: &Path) -> impl FnOnce(std::io::Error) 
 
 /// These bytes in a file that has no name of its own yet.
 fn written(folder: &Path, bytes: &[u8]) -> std::io::Result<tempfile::NamedTempFile> {
-    let readable = std::os::unix::fs::PermissionsExt::from_mode(0o666);
-    let made = tempfile::Builder::new().permissions(readable).tempfile_in(folder);
-    // Its own error names the temporary file, which nobody has asked for.
-    let mut file = made.map_err(|error| std::io::Error::from(error.kind()))?;
+    let mut file = rockface_cache::readable_file(folder)?;
     file.write_all(bytes)?;
     file.as_file().sync_all()?;
     Ok(file)
@@ -132,10 +128,10 @@ mod tests {
         write_new(&path, b"first").unwrap();
         let again = write_new(&path, b"second").unwrap_err().to_string();
         assert!(again.contains("is there already") && std::fs::read(&path).unwrap() == b"first", "{again}");
-        write_own(folder_of(&path), "file", b"third").unwrap();
+        write_own(&path, b"third").unwrap();
         assert_eq!(std::fs::read(&path).unwrap(), b"third");
         assert_eq!(std::fs::read_dir(folder_of(&path)).unwrap().count(), 1);
-        let missing = write_own(&folder.path().join("none"), "file", b"").unwrap_err().to_string();
-        assert!(!missing.contains(".tmp"), "{missing}");
+        let missing = write_own(&folder.path().join("none").join("file"), b"").unwrap_err().to_string();
+        assert!(!missing.contains(".rockface-"), "{missing}");
     }
 }

@@ -84,10 +84,7 @@ pub fn save(to: &Path, text: &str) -> Result<(), ReportError> {
     let parent = to.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let write = || {
         std::fs::create_dir_all(parent)?;
-        // Its own error names the temporary file, which nobody has asked for.
-        let readable = std::os::unix::fs::PermissionsExt::from_mode(0o666);
-        let made = tempfile::Builder::new().permissions(readable).tempfile_in(parent);
-        let mut file = made.map_err(|error| std::io::Error::from(error.kind()))?;
+        let mut file = rockface_cache::readable_file(parent)?;
         std::io::Write::write_all(&mut file, text.as_bytes())?;
         file.persist(to).map(drop).map_err(|error| error.error)
     };

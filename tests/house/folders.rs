@@ -345,15 +345,20 @@ fn files_are_for_whom_the_umask_lets_read_them() {
     for (umask, expected) in [("077", 0o600), ("002", 0o664)] {
         let house = House::new(SMALL);
         let script = format!(
-            "umask {umask}; \"$0\" run p.yaml -q && \"$0\" archive latest -o run.tar && \"$0\" report latest -o page.html"
+            "umask {umask}; \"$0\" run p.yaml -q --trace trace.json && \"$0\" runs pin latest && \"$0\" archive latest -o run.tar && \"$0\" report latest -o page.html"
         );
         let program = house.command(&[]).get_program().to_owned();
         let mut shell = Command::new("sh");
         let done = shell.arg("-c").arg(script).arg(program).current_dir(house.path(".")).output().unwrap();
         assert!(done.status.success(), "{done:?}");
-        for file in ["run.tar", "page.html", ".rockface/runs/latest/run.json", ".rockface/runs/latest/report.html"] {
-            let mode = std::fs::metadata(house.path(file)).unwrap().permissions().mode() & 0o777;
-            assert_eq!(mode, expected, "{file} {umask}");
+        let run = std::fs::read_dir(house.path(".rockface/runs/latest")).unwrap().map(|entry| entry.unwrap().path());
+        let run: Vec<_> = run.filter(|path| path.is_file()).collect();
+        for file in ["run.mcap", "run.json", "report.html", "pinned"] {
+            assert!(run.iter().any(|path| path.ends_with(file)), "{file} of {run:?}");
+        }
+        for file in ["run.tar", "page.html", "trace.json"].map(|file| house.path(file)).into_iter().chain(run) {
+            let mode = std::fs::metadata(&file).unwrap().permissions().mode() & 0o777;
+            assert_eq!(mode, expected, "{} {umask}", file.display());
         }
     }
 }

@@ -80,11 +80,11 @@ impl ExportArgs {
             let bytes = store.get(&output.digest).map_err(|error| unkept(error, &run.folder))?;
             let bytes = converted(kind, &bytes, extension)?;
             std::fs::create_dir_all(folder_of(&to)).map_err(failed("create the folder of"))?;
-            write(&to, &bytes).map_err(failed("write"))?;
+            write_own(&to, &bytes).map_err(failed("write"))?;
             let told = if self.plain { "" } else { "; its origin is noted in a file beside it" };
             if !self.plain {
                 let facts = format!("{facts:#}\n");
-                write(&provenance::beside(&to), facts.as_bytes()).map_err(failed("write"))?;
+                write_own(&provenance::beside(&to), facts.as_bytes()).map_err(failed("write"))?;
             }
             say(&format!("{} ({} as {extension}){told}", to.display(), output.kind));
             return Ok(());
@@ -104,14 +104,10 @@ impl ExportArgs {
             Some(bytes) => (to.clone(), bytes, "in it"),
             None => (provenance::beside(&to), format!("{facts:#}\n").into_bytes(), "in a file beside it"),
         };
-        write(&at, &bytes).map_err(failed("write"))?;
+        write_own(&at, &bytes).map_err(failed("write"))?;
         say(&format!("{} ({}); its origin is noted {where_to}", to.display(), output.kind));
         Ok(())
     }
-}
-
-fn write(file: &Path, bytes: &[u8]) -> std::io::Result<()> {
-    write_own(folder_of(file), &file.file_name().unwrap_or_default().to_string_lossy(), bytes)
 }
 
 /// What a file's name ends in, in lower case, as formats are named here.

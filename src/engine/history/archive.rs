@@ -73,11 +73,7 @@ pub fn archive(
 ) -> Result<Archived, HistoryError> {
     let folder = to.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     std::fs::create_dir_all(folder).map_err(HistoryError::io("make the folder", folder))?;
-    // Its own error names the temporary file, which nobody has asked for.
-    let readable = PermissionsExt::from_mode(0o666);
-    let file = tempfile::Builder::new().permissions(readable).tempfile_in(folder);
-    let file = file.map_err(|error| std::io::Error::from(error.kind()));
-    let file = file.map_err(HistoryError::io("write into", folder))?;
+    let file = rockface_cache::readable_file(folder).map_err(HistoryError::io("write into", folder))?;
     let mut packing = Packing { tar: tar::Builder::new(BufWriter::new(file)), sums: BTreeMap::new(), to, stop };
     packing.add(Path::new("README"), README.as_bytes())?;
     let made = made(&run.manifest);

@@ -179,8 +179,8 @@ impl PastRun {
         if pinned {
             let text = "What this run made is not collected. `rockface runs unpin` removes this pin.\n";
             // Written beside its place: a link there is replaced, not followed.
-            let mut file =
-                tempfile::NamedTempFile::new_in(&self.folder).map_err(HistoryError::io("write into", &self.folder))?;
+            let file = rockface_cache::readable_file(&self.folder);
+            let mut file = file.map_err(HistoryError::io("write into", &self.folder))?;
             std::io::Write::write_all(&mut file, text.as_bytes()).map_err(HistoryError::io("write", &path))?;
             return file.persist(&path).map(drop).map_err(|fault| HistoryError::io("write", &path)(fault.error));
         }

@@ -21,10 +21,7 @@ pub(super) fn write_file(path: &Path, bytes: &[u8]) -> Result<(), RunError> {
 /// What is to be the file at `path`, written beside it; [`put`] gives it its name.
 fn staged(path: &Path, write: impl FnOnce(&mut NamedTempFile) -> io::Result<()>) -> Result<NamedTempFile, RunError> {
     let write = || {
-        // Temporary files are private; results are for whom the umask of the user lets read them.
-        let mode = std::os::unix::fs::PermissionsExt::from_mode(0o666);
-        let made = tempfile::Builder::new().permissions(mode).tempfile_in(path.parent().unwrap_or(Path::new(".")));
-        let mut file = made?;
+        let mut file = rockface_cache::readable_file(path.parent().unwrap_or(Path::new(".")))?;
         write(&mut file).map(|()| file)
     };
     write().map_err(failed(path))

@@ -87,7 +87,7 @@ impl Telling<'_> {
                 error => std::io::Error::other(error),
             })
         };
-        let file = tempfile::NamedTempFile::new_in(folder).map_err(failed(&path))?;
+        let file = rockface_cache::readable_file(folder).map_err(failed(&path))?;
         let mut log = RunLog::new(Buffered::new(file), &self.about).map_err(unwritten)?;
         let levels = self.plan.log_levels();
         let nothing = Outcome { outputs: Outputs::default(), log: None, sketches: None, cost: Cost::default() };
