@@ -290,7 +290,8 @@ pub fn gap(one: Chosen) -> String {
 fn step(linker: &Linker, name: &str, instances: &[&StepDone]) -> StepView {
     let count = |status: &str| instances.iter().filter(|done| done.status == status).count();
     let (executed, cached) = (count("executed"), count("cached"));
-    let wall_s: f64 = instances.iter().filter_map(|done| done.cost).map(|cost| cost.wall_s).sum();
+    // A sum of nothing is -0.
+    let wall_s = instances.iter().filter_map(|done| done.cost).fold(0.0, |sum, cost| sum + cost.wall_s);
     let outputs = || instances.iter().flat_map(|done| done.outputs.iter().flatten().map(move |(p, o)| (*done, p, o)));
     let file = |(done, port, output): (&StepDone, &rockface_cache::SafeName, &rockface_cache::OutputRecord)| FileView {
         name: format!("{}.{port}", done.label()),

@@ -158,6 +158,9 @@ fn an_output_of_a_use_that_has_no_value_of_its_own_is_told_from_an_unknown_one()
         let (code, _, err) = house.rockface(&["export", "latest", name, "out.json"]);
         assert!(code == Some(2) && err.contains(&format!("no output `{name}`: {way}")), "{name}: {err}");
     }
+    // Into a folder, under a name of its own.
+    let (code, _, err) = house.rockface(&["export", "latest", "many/t[rep=0].table", "into/"]);
+    assert!(code == Some(0) && house.path("into/many.t[rep=0].table.json").is_file(), "{err}");
     let (code, _, err) = house.rockface(&["inspect", "t.csv", "--pixel", "1,1"]);
     assert!(code == Some(2) && err.contains("is no depth map"), "{err}");
 }

@@ -1,6 +1,7 @@
 //! Past runs as a user meets them: listed, compared, repeated, exported, archived, described.
 
 use std::path::Path;
+use std::process::Command;
 use std::sync::atomic::AtomicBool;
 
 use rockface_cache::Store;
@@ -232,6 +233,38 @@ fn the_crate_of_a_run_refers_to_nothing_that_is_not_in_it() {
     }
     let actions = graph.iter().filter(|entity| entity["@type"] == "CreateAction").count();
     assert_eq!(actions, 3, "the run and its two steps");
+}
+
+#[test]
+fn the_crate_of_an_archive_names_the_files_that_are_in_it_and_no_others() {
+    let house =
+        House::new("rockface: 1\nname: reads\nsteps:\n  table: {stage: import-table, with: {path: face.csv}}\n");
+    std::fs::write(house.path("face.csv"), "a\n1\n").unwrap();
+    let (code, _, err) = house.rockface(&["run", "p.yaml", "--outputs", "all"]);
+    assert_eq!(code, Some(0), "{err}");
+    for (contents, outputs, inputs) in [(&[][..], 0, 0), (&["--inputs", "--outputs"][..], 1, 2)] {
+        let to = format!("{}.tar", contents.len());
+        let (code, _, err) = house.rockface(&[&["archive", "latest", "-o", &to], contents].concat());
+        assert_eq!(code, Some(0), "{err}");
+        let folder = house.path(&format!("of-{}", contents.len()));
+        std::fs::create_dir(&folder).unwrap();
+        assert!(Command::new("tar").arg("-xf").arg(house.path(&to)).arg("-C").arg(&folder).status().unwrap().success());
+        let described = read_json(&folder.join("ro-crate-metadata.json"));
+        let graph = described["@graph"].as_array().unwrap();
+        let is_file = |entity: &&Value| entity["@type"] == "File" || entity["@type"][0] == "File";
+        let files: Vec<&str> = graph.iter().filter(is_file).map(|entity| entity["@id"].as_str().unwrap()).collect();
+        files.iter().for_each(|file| assert!(folder.join(file).is_file(), "{file}"));
+        let below = |top: &str| files.iter().filter(|file| file.starts_with(top)).count();
+        assert_eq!((below("outputs/"), below("inputs/")), (outputs, inputs), "{files:?}");
+        assert!(["README", "B3SUMS", "run.json"].iter().all(|file| files.contains(file)), "{files:?}");
+        assert!(graph.iter().any(|entity| entity["@id"] == "records/" && entity["@type"] == "Dataset"));
+        let run = graph.iter().find(|entity| entity["@id"] == "#run").unwrap().to_string();
+        assert_eq!(run.contains("inputs/face.csv"), inputs > 0, "{run}");
+        // Described after the run, and still what B3SUMS has.
+        let sums = std::fs::read_to_string(folder.join("B3SUMS")).unwrap();
+        let bytes = std::fs::read(folder.join("ro-crate-metadata.json")).unwrap();
+        assert!(sums.contains(&format!("{}  ro-crate-metadata.json", blake3::hash(&bytes))), "{sums}");
+    }
 }
 
 /// Every `@id` an entity refers to.

@@ -55,8 +55,13 @@ impl ExportArgs {
         let kind: Option<Kind> = output.kind.parse().ok();
         let to = if self.path.is_dir() || self.path.to_string_lossy().ends_with('/') {
             let extension = kind.map_or("bin", Kind::extension);
-            let name = SafeName::new(format!("{}.{port}.{extension}", done.label()));
-            self.path.join(name.map_err(|error| CliError::Usage(format!("{error}; name the file to write")))?)
+            let refused = |error| CliError::Usage(format!("{error}; name the file to write"));
+            let label = done.label();
+            // Steps of parts have a slash in their name.
+            let names = label.split('/').map(SafeName::new).collect::<Result<Vec<_>, _>>().map_err(refused)?;
+            let names: Vec<&str> = names.iter().map(SafeName::as_str).collect();
+            let name = SafeName::new(format!("{}.{port}.{extension}", names.join(".")));
+            self.path.join(name.map_err(refused)?)
         } else {
             self.path.clone()
         };

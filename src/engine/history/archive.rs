@@ -7,12 +7,14 @@ use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use rockface_cache::{Digest, NameError, OutputRecord, SafeName, SafePath, Store, StoreError};
+use rockface_cache::{Digest, SafePath, Store, StoreError};
 use rockface_core::artefact::Kind;
 
-use super::file_names::{PIPELINE_FILE, RUN_FILES};
+use super::file_names::{CRATE_FILE, PIPELINE_FILE, RUN_FILES};
+use super::places::place_of;
+use super::provenance::crate_of_archive;
 use super::sources::source_files;
-use super::{HistoryError, Manifest, PastRun, StepDone, output_folder};
+use super::{HistoryError, Manifest, PastRun};
 
 /// Explains the archive to whoever opens it.
 const README: &str = "This archive holds one run of rockface.
@@ -79,7 +81,9 @@ pub fn archive(
     let made = made(&run.manifest);
     let (files, strange) = files_of(run, &made, contents.outputs)?;
     packing.add(Path::new(PIPELINE_FILE), run.manifest.pipeline.text.as_bytes())?;
-    for path in files.iter().filter(|path| ***path != *Path::new(PIPELINE_FILE)) {
+    // The description of the run folder names outputs that are not in the archive.
+    let written_here = [PIPELINE_FILE, CRATE_FILE].map(Path::new);
+    for path in files.iter().filter(|path| !written_here.contains(&&***path)) {
         packing.add_own(path, made.get(&**path).copied(), run, store)?;
     }
     let left_out = if contents.outputs { packing.stored_outputs(run, store)? } else { Vec::new() };
@@ -91,6 +95,8 @@ pub fn archive(
         packing.add(&Path::new("pipeline").join(path), text.as_bytes())?;
     }
     let missing = packing.records(run, store)?;
+    let described = serde_json::to_string_pretty(&crate_of_archive(&run.manifest, &packing.sums)).unwrap_or_default();
+    packing.add(Path::new(CRATE_FILE), format!("{described}\n").as_bytes())?;
     let files = packing.sums.len() + 1;
     let file = packing.finish()?;
     file.persist(to).map_err(|fault| HistoryError::io("write", to)(fault.error))?;
@@ -106,16 +112,6 @@ fn made(manifest: &Manifest) -> BTreeMap<&Path, Digest> {
         }
     }
     made
-}
-
-/// Where an output is in the folder of its run, or would be.
-fn place_of(done: &StepDone, port: &SafeName, output: &OutputRecord) -> Result<SafePath, NameError> {
-    if let Some(path) = done.paths.get(port.as_str()) {
-        return Ok(path.clone());
-    }
-    let point: Vec<String> = done.point.iter().map(|(axis, item)| format!("{axis}={item}")).collect();
-    let extension = output.kind.parse::<Kind>().map_or("bin", Kind::extension);
-    Ok(output_folder(&done.step, &point.join(","))?.with(&SafeName::new(format!("{port}.{extension}"))?))
 }
 
 /// A blob of the store; `None` if the store does not have it or finds it damaged. A store that cannot be read is an error: what it has is not missing.

@@ -1,7 +1,9 @@
 //! Where the outputs of a run are in its folder and in an archive: `outputs/<step>/<point>/<port>.<extension>`.
 
-use rockface_cache::{Digest, NameError, SafeName, SafePath};
+use rockface_cache::{Digest, NameError, OutputRecord, SafeName, SafePath};
+use rockface_core::artefact::Kind;
 
+use super::StepDone;
 use crate::pipeline::INSIDE;
 
 /// The longest name of a folder; file systems take 255 bytes, and some of the tools that read them fewer.
@@ -28,6 +30,16 @@ pub fn readable_name(name: &str) -> String {
     let digest = Digest::of(name.as_bytes()).to_string();
     let cut = (0..=NAME_BYTES - 17).rev().find(|end| name.is_char_boundary(*end)).unwrap_or(0);
     format!("{}-{}", &name[..cut], &digest[..16])
+}
+
+/// Where an output is in the folder of its run, or would be.
+pub(super) fn place_of(done: &StepDone, port: &SafeName, output: &OutputRecord) -> Result<SafePath, NameError> {
+    if let Some(path) = done.paths.get(port.as_str()) {
+        return Ok(path.clone());
+    }
+    let point: Vec<String> = done.point.iter().map(|(axis, item)| format!("{axis}={item}")).collect();
+    let extension = output.kind.parse::<Kind>().map_or("bin", Kind::extension);
+    Ok(output_folder(&done.step, &point.join(","))?.with(&SafeName::new(format!("{port}.{extension}"))?))
 }
 
 #[cfg(test)]

@@ -4,13 +4,15 @@
 //! It follows the Provenance Run Crate profile 0.5: <https://w3id.org/ro/wfrun/provenance/0.5>.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use rockface_cache::RecipeInput;
+use rockface_cache::{Digest, OutputRecord, RecipeInput, SafeName};
 use serde_json::{Value, json};
 
-use super::manifest::{Manifest, StepDone};
+use super::inputs::INPUTS;
+use super::manifest::{FileUsed, Manifest, StepDone};
+use super::places::place_of;
 use super::{CRATE_FILE, LOG_FILE, MANIFEST_FILE, PIPELINE_FILE, POINTS_FILE, REPORT_FILE};
 use crate::watch::moment;
 
@@ -24,11 +26,45 @@ const PROFILES: [(&str, &str, &str); 4] = [
     ("https://w3id.org/workflowhub/workflow-ro-crate/1.0", "Workflow RO-Crate", "1.0"),
 ];
 
+/// What an archive has besides the files of a run folder: path, description. Paths of folders end with `/`.
+const OF_ARCHIVES: [(&str, &str); 5] = [
+    ("B3SUMS", "the BLAKE3 of every other file"),
+    ("README", "what is in the archive"),
+    ("logs/", "what steps said"),
+    ("pipeline/", "the pipeline and the files it includes, in their relative layout"),
+    ("records/", "the recipe of every step"),
+];
+
 /// The content of `ro-crate-metadata.json` for a run in `folder`.
 pub fn crate_metadata(folder: &Path, manifest: &Manifest) -> Value {
-    let mut crated = Crate { manifest, graph: BTreeMap::new(), parts: BTreeSet::new() };
+    // Manifest and log are always written, the report where its template can be filled in.
+    let has = |name: &str| ![REPORT_FILE, POINTS_FILE].contains(&name) || folder.join(name).is_file();
+    let place = |done: &StepDone, port: &SafeName, _: &OutputRecord| {
+        done.paths.get(port.as_str()).map(|path| path.to_path_buf())
+    };
+    described(manifest, &has, &place, None)
+}
+
+/// The same for an archive with these files.
+pub(super) fn crate_of_archive(manifest: &Manifest, files: &BTreeMap<PathBuf, Digest>) -> Value {
+    let has = |name: &str| match name.strip_suffix('/') {
+        Some(folder) => files.keys().any(|file| file.starts_with(folder)),
+        None => name == OF_ARCHIVES[0].0 || files.contains_key(Path::new(name)),
+    };
+    let place = |done: &StepDone, port: &SafeName, output: &OutputRecord| {
+        let place = place_of(done, port, output).ok()?;
+        files.contains_key(&*place).then(|| place.to_path_buf())
+    };
+    let inputs = files.iter().filter(|(file, _)| file.starts_with(INPUTS));
+    described(manifest, &has, &place, Some(inputs.map(|(file, digest)| (*digest, file.as_path())).collect()))
+}
+
+/// A crate with the files that it `has`, with its outputs in their places; `archived` are the input files of an archive.
+fn described(manifest: &Manifest, has: Has, place: Place, archived: Option<BTreeMap<Digest, &Path>>) -> Value {
+    let (is_archive, inputs) = (archived.is_some(), archived.unwrap_or_default());
+    let mut crated = Crate { manifest, is_archive, has, place, inputs, graph: BTreeMap::new(), parts: BTreeSet::new() };
     crated.software();
-    crated.files(folder);
+    crated.files();
     let results = crated.steps();
     crated.run(&results);
     crated.root();
@@ -39,8 +75,19 @@ pub fn crate_metadata(folder: &Path, manifest: &Manifest) -> Value {
     })
 }
 
+/// Whether a file, or a folder with files, is in the crate.
+type Has<'a> = &'a dyn Fn(&str) -> bool;
+/// Where the file of an output is in the crate.
+type Place<'a> = &'a dyn Fn(&StepDone, &SafeName, &OutputRecord) -> Option<PathBuf>;
+
 struct Crate<'a> {
     manifest: &'a Manifest,
+    /// Whether it is an archive, not the folder of a run.
+    is_archive: bool,
+    has: Has<'a>,
+    place: Place<'a>,
+    /// Files that steps have read and that are in the crate.
+    inputs: BTreeMap<Digest, &'a Path>,
     /// Entities by their `@id`.
     graph: BTreeMap<String, Value>,
     /// The files of the crate.
@@ -110,19 +157,32 @@ impl Crate<'_> {
         self.add("#engine", json!({"@type": "SoftwareApplication", "name": "rockface", "softwareVersion": version}));
     }
 
-    /// The files of the folder that are not outputs of steps.
-    fn files(&mut self, folder: &Path) {
+    /// The files that are not outputs of steps.
+    fn files(&mut self) {
         for (name, format, what) in [
             (MANIFEST_FILE, "application/json", "manifest: everything needed to repeat the run"),
             (LOG_FILE, "application/octet-stream", "log of the run, MCAP"),
             (REPORT_FILE, "text/html", "the run on one page, for people"),
             (POINTS_FILE, "text/csv", "numbers of all steps, a row a point of the axes"),
         ] {
-            // Manifest and log are always written, the report where its template can be filled in.
-            if ![REPORT_FILE, POINTS_FILE].contains(&name) || folder.join(name).is_file() {
+            if (self.has)(name) {
                 self.add(name, json!({"@type": "File", "name": name, "description": what, "encodingFormat": format}));
                 self.parts.insert(name.to_owned());
             }
+        }
+        // A run folder may have a file of such a name from somebody else.
+        for (name, what) in OF_ARCHIVES {
+            if self.is_archive && (self.has)(name) {
+                let kind = if name.ends_with('/') { "Dataset" } else { "File" };
+                self.add(name, json!({"@type": kind, "name": name.trim_end_matches('/'), "description": what}));
+                self.parts.insert(name.to_owned());
+            }
+        }
+        for (digest, path) in self.inputs.clone() {
+            let (id, format) = (address(path), media_type(path));
+            let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            self.add(&id, json!({"@type": "File", "name": name, "description": "input", "encodingFormat": format, "identifier": format!("blake3:{digest}")}));
+            self.parts.insert(id);
         }
     }
 
@@ -154,8 +214,8 @@ impl Crate<'_> {
         let mut ids = Vec::new();
         for (port, output) in done.outputs.iter().flatten() {
             let digest = output.digest.to_string();
-            let id = match done.paths.get(port.as_str()) {
-                Some(path) => self.output_file(done, port, path, &output.kind),
+            let id = match (self.place)(done, port, output) {
+                Some(path) => self.output_file(done, port, &path, output),
                 // Without actions nothing refers to what has no file.
                 None if self.manifest.steps.len() > ACTIONS_LIMIT => continue,
                 None => self.digest(&digest, &format!("{}.{port}", done.label())),
@@ -166,17 +226,14 @@ impl Crate<'_> {
         ids
     }
 
-    fn output_file(&mut self, done: &StepDone, port: &str, path: &Path, kind: &str) -> String {
+    fn output_file(&mut self, done: &StepDone, port: &str, path: &Path, output: &OutputRecord) -> String {
         let id = address(path);
         let name = format!("{}.{port}", done.label());
-        let format = match path.extension().and_then(|extension| extension.to_str()) {
-            Some("json") => "application/json",
-            Some("png") => "image/png",
-            Some("tif") => "image/tiff",
-            Some("exr") => "image/x-exr",
-            _ => "application/octet-stream",
-        };
-        self.add(&id, json!({"@type": "File", "name": name, "description": kind, "encodingFormat": format}));
+        let file = json!({
+            "@type": "File", "name": name, "description": output.kind, "encodingFormat": media_type(path),
+            "contentSize": output.bytes.to_string(), "identifier": format!("blake3:{}", output.digest),
+        });
+        self.add(&id, file);
         self.parts.insert(id.clone());
         id
     }
@@ -188,6 +245,15 @@ impl Crate<'_> {
             self.add(&id, json!({"@type": "PropertyValue", "name": name, "value": format!("blake3:{digest}")}));
         }
         id
+    }
+
+    /// A file that a step has read: where it is in the crate, else its digest.
+    fn input_file(&mut self, file: &FileUsed) -> String {
+        if let Some(path) = self.inputs.get(&file.blake3) {
+            return address(path);
+        }
+        let name = file.path.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
+        self.digest(&file.blake3.to_string(), &name)
     }
 
     fn action(&mut self, number: usize, done: &StepDone, made: &BTreeMap<String, String>, outputs: &[String]) {
@@ -202,8 +268,7 @@ impl Crate<'_> {
             }
         }
         for file in &done.files {
-            let name = file.path.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
-            inputs.push(self.digest(&file.blake3.to_string(), &name));
+            inputs.push(self.input_file(file));
         }
         inputs.push(self.parameters(number, done));
         let failed = done.outputs.is_none();
@@ -240,8 +305,7 @@ impl Crate<'_> {
             given.insert(self.setting(name, value));
         }
         for file in manifest.steps.iter().flat_map(|done| &done.files) {
-            let name = file.path.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
-            given.insert(self.digest(&file.blake3.to_string(), &name));
+            given.insert(self.input_file(file));
         }
         let ended = humantime::parse_rfc3339(&manifest.finished).unwrap_or(SystemTime::UNIX_EPOCH);
         let ended_s = ended.duration_since(UNIX_EPOCH).map_or(0.0, |since| since.as_secs_f64());
@@ -286,6 +350,25 @@ impl Crate<'_> {
             "conformsTo": [to("https://w3id.org/ro/crate/1.1"), to("https://w3id.org/workflowhub/workflow-ro-crate/1.0")],
         });
         self.add(CRATE_FILE, descriptor);
+    }
+}
+
+/// The media type of a file, by its ending; of those that have none, that of any bytes.
+fn media_type(path: &Path) -> &'static str {
+    match path.extension().and_then(|extension| extension.to_str()) {
+        Some("csv") => "text/csv",
+        Some("exr") => "image/x-exr",
+        Some("geojson") => "application/geo+json",
+        Some("html") => "text/html",
+        Some("json") => "application/json",
+        Some("kml") => "application/vnd.google-earth.kml+xml",
+        Some("md") => "text/markdown",
+        Some("png") => "image/png",
+        Some("svg") => "image/svg+xml",
+        Some("tar") => "application/x-tar",
+        Some("tif") => "image/tiff",
+        Some("yaml") => "application/yaml",
+        _ => "application/octet-stream",
     }
 }
 

@@ -21,7 +21,11 @@ for (const table of document.querySelectorAll('table.sortable')) {
       [...body.rows].sort(order).forEach(row => body.append(row));
     };
     head.addEventListener('click', sort);
-    head.addEventListener('keydown', event => { if (event.key === 'Enter') sort(); });
+    head.addEventListener('keydown', event => {
+      if (event.key !== 'Enter' && event.key !== ' ') return;
+      event.preventDefault();
+      sort();
+    });
   });
 }
 const unfold = () => {
