@@ -364,6 +364,9 @@ fn an_export_has_the_format_of_its_name_and_replaces_none_but_exports() {
         let (code, said) = export("noise.features", "noise.csv", &[]);
         assert!(code == Some(0) && house.path("noise.csv.provenance.json").is_file(), "{said}");
     }
+    let origin = read_json(&house.path("noise.csv.provenance.json"));
+    let run = read_json(&house.path(".rockface/runs/latest/run.json"));
+    assert!(origin["seed"].is_u64() && origin["seed"] == run["seed"], "{origin}");
     assert!(std::fs::read_to_string(house.path("noise.csv")).unwrap().starts_with("raster,mean_m,"));
     for arguments in [&["run", "p.yaml", "--trace", "mine.txt"][..], &["report", "latest", "-o", "mine.txt"]] {
         std::fs::write(house.path("mine.txt"), "mine").unwrap();

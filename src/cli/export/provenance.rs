@@ -27,7 +27,7 @@ pub fn of(run: &PastRun, done: &StepDone, port: &str, digest: &Digest) -> Value 
         "program": run.manifest.made_by(), "exported_by": format!("rockface {}", rockface_engine::version::TEXT),
         "step": done.label(), "port": port, "stage": format!("{} {}", done.stage, done.version), "parameters": *done.parameters,
         "digest": digest.to_string(), "record": done.key.map(|key| key.to_string()),
-        "pipeline": run.manifest.pipeline.name, "run": run.name,
+        "pipeline": run.manifest.pipeline.name, "seed": run.manifest.seed, "run": run.name,
         "command": format!("rockface run .rockface/runs/{}/run.json --target {}", run.name, done.step),
     })
 }
