@@ -42,7 +42,7 @@ fn told(past: &PastRun, folder: &Path) {
     let comparison = compare(&[past.clone(), past.clone()]);
     assert!(comparison.parameters.is_empty(), "a run does not differ from itself");
     let _ = (past.manifest.counts(), past.manifest.failures().count());
-    drop(crate_metadata(&past.folder, &past.manifest).to_string());
+    drop(crate_metadata(&past.folder, &past.manifest));
     let run = RunContents { folder: &past.folder, manifest: &past.manifest, store: None, graph: None, logs: None };
     let look = rockface_stages::registry().look();
     let source = Source { run, look };

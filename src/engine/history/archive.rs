@@ -10,7 +10,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use rockface_cache::{Digest, SafePath, Store, StoreError};
 use rockface_core::artefact::Kind;
 
-use super::file_names::{CRATE_FILE, PIPELINE_FILE, RUN_FILES};
+use super::file_names::{CRATE_FILE, PIPELINE_FILE, RUN_FILES, SUMS_FILE};
 use super::places::place_of;
 use super::provenance::crate_of_archive;
 use super::sources::source_files;
@@ -95,8 +95,8 @@ pub fn archive(
         packing.add(&Path::new("pipeline").join(path), text.as_bytes())?;
     }
     let missing = packing.records(run, store)?;
-    let described = serde_json::to_string_pretty(&crate_of_archive(&run.manifest, &packing.sums)).unwrap_or_default();
-    packing.add(Path::new(CRATE_FILE), format!("{described}\n").as_bytes())?;
+    let described = crate_of_archive(&run.manifest, &packing.sums);
+    packing.add(Path::new(CRATE_FILE), described.as_bytes())?;
     let files = packing.sums.len() + 1;
     let file = packing.finish()?;
     file.persist(to).map_err(|fault| HistoryError::io("write", to)(fault.error))?;
@@ -370,7 +370,7 @@ impl Packing<'_> {
     fn finish(mut self) -> Result<tempfile::NamedTempFile, HistoryError> {
         let sums = std::mem::take(&mut self.sums);
         let text: String = sums.iter().map(|(path, digest)| format!("{digest}  {}\n", path.display())).collect();
-        self.add(Path::new("B3SUMS"), text.as_bytes())?;
+        self.add(Path::new(SUMS_FILE), text.as_bytes())?;
         let to = self.to;
         let mut out = self.tar.into_inner().map_err(HistoryError::io("write", to))?;
         out.flush().map_err(HistoryError::io("write", to))?;

@@ -1,4 +1,4 @@
-//! The names of the files that a run writes into its folder, beside those of outputs.
+//! The names of the files that a run writes into its folder, beside those of outputs, and of one that only its archive has.
 
 /// The manifest.
 pub const MANIFEST_FILE: &str = "run.json";
@@ -18,3 +18,6 @@ pub const POINTS_FILE: &str = "points.csv";
 /// All of them.
 pub const RUN_FILES: [&str; 7] =
     [MANIFEST_FILE, PIPELINE_FILE, LOG_FILE, LAYOUT_FILE, CRATE_FILE, REPORT_FILE, POINTS_FILE];
+
+/// The BLAKE3 of every other file of an archive.
+pub const SUMS_FILE: &str = "B3SUMS";

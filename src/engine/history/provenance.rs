@@ -10,6 +10,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use rockface_cache::{Digest, OutputRecord, RecipeInput, SafeName};
 use serde_json::{Value, json};
 
+use super::file_names::SUMS_FILE;
 use super::inputs::INPUTS;
 use super::manifest::{FileUsed, Manifest, StepDone};
 use super::places::place_of;
@@ -28,7 +29,7 @@ const PROFILES: [(&str, &str, &str); 4] = [
 
 /// What an archive has besides the files of a run folder: path, description. Paths of folders end with `/`.
 const OF_ARCHIVES: [(&str, &str); 5] = [
-    ("B3SUMS", "the BLAKE3 of every other file"),
+    (SUMS_FILE, "the BLAKE3 of every other file"),
     ("README", "what is in the archive"),
     ("logs/", "what steps said"),
     ("pipeline/", "the pipeline and the files it includes, in their relative layout"),
@@ -36,7 +37,7 @@ const OF_ARCHIVES: [(&str, &str); 5] = [
 ];
 
 /// The content of `ro-crate-metadata.json` for a run in `folder`.
-pub fn crate_metadata(folder: &Path, manifest: &Manifest) -> Value {
+pub fn crate_metadata(folder: &Path, manifest: &Manifest) -> String {
     // Manifest and log are always written, the report where its template can be filled in.
     let has = |name: &str| ![REPORT_FILE, POINTS_FILE].contains(&name) || folder.join(name).is_file();
     let place = |done: &StepDone, port: &SafeName, _: &OutputRecord| {
@@ -46,10 +47,11 @@ pub fn crate_metadata(folder: &Path, manifest: &Manifest) -> Value {
 }
 
 /// The same for an archive with these files.
-pub(super) fn crate_of_archive(manifest: &Manifest, files: &BTreeMap<PathBuf, Digest>) -> Value {
+pub(super) fn crate_of_archive(manifest: &Manifest, files: &BTreeMap<PathBuf, Digest>) -> String {
     let has = |name: &str| match name.strip_suffix('/') {
         Some(folder) => files.keys().any(|file| file.starts_with(folder)),
-        None => name == OF_ARCHIVES[0].0 || files.contains_key(Path::new(name)),
+        // The sums are written last.
+        None => name == SUMS_FILE || files.contains_key(Path::new(name)),
     };
     let place = |done: &StepDone, port: &SafeName, output: &OutputRecord| {
         let place = place_of(done, port, output).ok()?;
@@ -60,7 +62,7 @@ pub(super) fn crate_of_archive(manifest: &Manifest, files: &BTreeMap<PathBuf, Di
 }
 
 /// A crate with the files that it `has`, with its outputs in their places; `archived` are the input files of an archive.
-fn described(manifest: &Manifest, has: Has, place: Place, archived: Option<BTreeMap<Digest, &Path>>) -> Value {
+fn described(manifest: &Manifest, has: Has, place: Place, archived: Option<BTreeMap<Digest, &Path>>) -> String {
     let (is_archive, inputs) = (archived.is_some(), archived.unwrap_or_default());
     let mut crated = Crate { manifest, is_archive, has, place, inputs, graph: BTreeMap::new(), parts: BTreeSet::new() };
     crated.software();
@@ -69,10 +71,11 @@ fn described(manifest: &Manifest, has: Has, place: Place, archived: Option<BTree
     crated.run(&results);
     crated.root();
     let graph: Vec<Value> = crated.graph.into_values().collect();
-    json!({
+    let described = json!({
         "@context": ["https://w3id.org/ro/crate/1.1/context", "https://w3id.org/ro/terms/workflow-run/context"],
         "@graph": graph,
-    })
+    });
+    format!("{described:#}\n")
 }
 
 /// Whether a file, or a folder with files, is in the crate.

@@ -266,8 +266,7 @@ impl Writer<'_> {
             if let Some(table) = points_table(&manifest) {
                 write_file(&folder.join(POINTS_FILE), table.as_bytes())?;
             }
-            let described = serde_json::to_string_pretty(&crate_metadata(folder, &manifest)).unwrap_or_default();
-            write_file(&folder.join(CRATE_FILE), format!("{described}\n").as_bytes())?;
+            write_file(&folder.join(CRATE_FILE), crate_metadata(folder, &manifest).as_bytes())?;
             phase!("manifest", durable(&folder.join(MANIFEST_FILE), |file| manifest.write(file)))
         };
         let (logged, manifest) = both(self.about.jobs, || phase!("log", self.log(folder, logs, laid)), told)?;
